@@ -11,6 +11,7 @@ import numpy as np
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid
 from pemviz.arrays import FloatArray
+from pemviz.charts.chart import with_unit
 from pemviz.charts.drawing import RunFigure, drawing, empty_figure
 from pemviz.colors import (
     BLACK,
@@ -76,8 +77,7 @@ def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -
         label=[f"{name} ({values.size:,})" for name, values, _ in drawn],
     )
     axes.axvline(0.0, color=BLACK, linewidth=1.0)
-    bracketed = f" [{unit}]" if unit else ""
-    axes.set(xlabel=f"robustness{bracketed}", ylabel="rollouts")
+    axes.set(xlabel=with_unit("robustness", unit), ylabel="rollouts")
     axes.set_title("Robustness of rollouts", loc="left")
     axes.legend(frameon=False)
     return figure

@@ -31,6 +31,11 @@ class Axis:
         return (value - self.low) / (self.high - self.low)
 
 
+def with_unit(name: str, unit: str) -> str:
+    """A quantity's label: ``gap [m]``."""
+    return f"{name} [{unit}]" if unit else name
+
+
 @dataclass(frozen=True)
 class Rule:
     """A line across the plot at a value: of the axis to the right if ``upright``."""

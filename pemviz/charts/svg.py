@@ -269,7 +269,6 @@ def _signed(value: float) -> str:
 
 
 def _power(exponent: float) -> str:
-    """A power of ten, as SVG text."""
     return f"10<tspan dy='-4' font-size='8'>{_signed(exponent)}</tspan>"
 
 
@@ -389,7 +388,6 @@ def _plane(chart: PlaneChart, *, act: str) -> str:
 
 
 def _in_places(axis: Axis) -> Axis:
-    """An axis as a plot takes it."""
     if not axis.log10:
         return axis
     ticks = None if axis.ticks is None else tuple(map(decade, axis.ticks))

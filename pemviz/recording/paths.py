@@ -8,7 +8,6 @@ it shows whichever is chosen; text is static.
 STAGE = "stage"
 STEP = "step"
 SIM_TIME = "sim_time"
-TIMELINES = (STAGE, STEP, SIM_TIME)
 
 ANSWER = "/answer/summary"
 WARNINGS = "/answer/warnings"
@@ -20,7 +19,6 @@ RESULT = "/config/result_json"
 PROVENANCE = "/config/provenance"
 CONTENTS = "/config/about_this_recording"
 
-LEARNING = "/learning"
 STAGE_TABLE = "/learning/table"
 PROPOSALS = "/learning/proposals"
 PEM_CURVE = "/learning/proposals/error_model"
@@ -37,14 +35,12 @@ FIGURES = (
     "log10_ci_high",
 )
 
-ROLLOUTS = "/rollouts"
 PEM_SERIES = "p_detected_pem"
 PROPOSAL_SERIES = "p_detected_proposal"
 DETECTED = "detected"
 MISSED_SHARE = "missed_share"
 TABLE = "table"
 
-WORST = "/worst_case"
 WORST_SUMMARY = "/worst_case/summary"
 SCENE = "/worst_case/scene"
 OUTCOMES = "/worst_case/outcomes"

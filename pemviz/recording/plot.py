@@ -191,15 +191,10 @@ def whiskers(
     return rr.LineStrips2D(strips, colors=shades, radii=ui(1.0), draw_order=25.0)
 
 
-def interval_frame(chart: IntervalChart) -> Frame:
-    """Powers of ten to the right, rows downwards."""
-    rows = Axis(low=float(len(chart.rows)), high=0.0, ticks=())
-    return Frame(x=decade_axis(*axis_decades(chart)), y=rows, shape=ROWS)
-
-
 def log_intervals(log: Log, path: str, chart: IntervalChart) -> None:
     """Replace what is drawn at a path: a bar a row with words above it, lines across all."""
-    frame = interval_frame(chart)
+    rows = Axis(low=float(len(chart.rows)), high=0.0, ticks=())
+    frame = Frame(x=decade_axis(*axis_decades(chart)), y=rows, shape=ROWS)
     log_axes(log, path, frame)
     known = [(place, row) for place, row in enumerate(chart.rows) if row.high]
     strips = [

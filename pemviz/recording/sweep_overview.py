@@ -80,7 +80,6 @@ def write_sweep_overview(
 
 
 def _blueprint() -> rrb.Blueprint:
-    """Tabs: all estimates above the summary, runs, settings."""
     estimates = rrb.Spatial2DView(
         name="Estimate and 95 % interval (thin grey: not a 95 % interval), log10",
         origin=paths.SWEEP_ESTIMATES,

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from pemviz.analysis.causes import CARRIED
+from pemviz.charts.chart import with_unit
 from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.rollouts import quota_text
@@ -67,7 +68,7 @@ def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
     """Every stage's figures."""
     header = (
         "stage",
-        f"threshold [{robustness_unit}]" if robustness_unit else "threshold",
+        with_unit("threshold", robustness_unit),
         "learned from",
         "violations",
         "ESS",
@@ -152,7 +153,6 @@ def worst_table(
 
 
 def _most_in_a_row(track: Track) -> int:
-    """Misses."""
     runs = groupby(track.detected.tolist())
     return max((len(list(run)) for detected, run in runs if not detected), default=0)
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import rerun.blueprint as rrb
 
+from pemviz.charts.chart import with_unit
 from pemviz.recording import paths
 from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
 from pemviz.recording.scene_plan import Bounds, plan_bounds
@@ -87,13 +88,6 @@ def all_views(subject: Subject) -> ContainerSpec:
     return ContainerSpec("tabs", "pemviz", tabs)
 
 
-def views_of(spec: ViewSpec | ContainerSpec) -> list[ViewSpec]:
-    """All views, in order."""
-    if isinstance(spec, ViewSpec):
-        return [spec]
-    return [view for part in spec.parts for view in views_of(part)]
-
-
 def keep_views(spec: ContainerSpec, wanted: Callable[[ViewSpec], bool]) -> ContainerSpec | None:
     """The container without unwanted views and without what is then empty."""
     parts: list[ViewSpec | ContainerSpec] = []
@@ -143,13 +137,9 @@ def shown_stages(stages: int, limit: int = MOST_STAGE_TABS) -> list[int]:
     return sorted({round(float(s)) for s in np.linspace(0, stages - 1, limit)})
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name
-
-
 def _title(signal: Signal) -> str:
     name = signal.name.replace("_", " ").capitalize()
-    return f"{_with_unit(name, signal.unit)} against step"
+    return f"{with_unit(name, signal.unit)} against step"
 
 
 def _text(title: str, path: str) -> ViewSpec:
@@ -177,7 +167,7 @@ def _estimate_view() -> ViewSpec:
 
 
 def _robustness_view(subject: Subject) -> ViewSpec:
-    axis = _with_unit("robustness", subject.robustness_unit)
+    axis = with_unit("robustness", subject.robustness_unit)
     title = f"Rollouts against {axis}, newest stage"
     return _plot(title, paths.ROBUSTNESS, shape=WITHOUT_LEGEND)
 
@@ -201,7 +191,7 @@ def _learning(subject: Subject) -> ContainerSpec:
     results = _below("Results", _estimate_view(), robustness)
     overview = _beside("Proposals and estimates", proposals, results, shares=(1.2, 1.0))
     titles = {
-        "threshold": _with_unit("Threshold", subject.robustness_unit),
+        "threshold": with_unit("Threshold", subject.robustness_unit),
         "failures": "Violations",
         "ess": "Effective sample size",
         "loss": "Loss [nats a step]",

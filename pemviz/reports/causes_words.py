@@ -7,6 +7,7 @@ from pemviz.analysis.causes import Bursts, Chain, Spread
 from pemviz.analysis.explanation import Explanation, SlotErrors
 from pemviz.analysis.sensitivity import BandSensitivity, MemorySensitivity
 from pemviz.analysis.starts import FEWEST, FEWEST_OF_MAP, DangerousStarts, StartValue
+from pemviz.charts.chart import with_unit
 from pemviz.reports.document import Strip, Table
 from pemviz.reports.estimate_words import end_text, range_text, share_text
 from pemviz.runs.result import RunResult
@@ -111,7 +112,6 @@ def burst_table(explanation: Explanation, *, target: float | None) -> Table | No
 
 
 def _target_tau(memory: MemorySensitivity) -> str:
-    """The memory time that meets the target, as a requirement."""
     if memory.target_tau_s is None:
         return "not enough alone"
     if memory.target_tau_s >= memory.tau_s:
@@ -276,7 +276,7 @@ def starts_table(found: DangerousStarts) -> Table:
     )
     rows: list[tuple[str, ...]] = []
     for one in found.values:
-        name = one.name.replace("_", " ") + (f" [{one.unit}]" if one.unit else "")
+        name = with_unit(one.name.replace("_", " "), one.unit)
         low, every, high = one.all_starts
         own = ("-", "-", "-")
         if one.violations:

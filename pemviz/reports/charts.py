@@ -9,7 +9,7 @@ from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.analysis.starts import DangerousStarts, StartMap, StartValue
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.charts import chart as marks
-from pemviz.charts.chart import Axis, IntervalChart, PlaneChart, Row
+from pemviz.charts.chart import Axis, IntervalChart, PlaneChart, Row, with_unit
 from pemviz.colors import (
     BLACK,
     BLUE,
@@ -149,23 +149,18 @@ def memory_chart(memory: RunMemory, axis: CurveAxis) -> PlaneChart | None:
     points = [p for p in axis.points(memory) if p.low and p.high and p.probability > 0.0]
     if not points:
         return None
-    places, probability, low, high = (
-        np.array(values)
-        for values in zip(
-            *((axis.place(p), p.probability, p.low, p.high) for p in points), strict=True
-        )
-    )
+    rows = [(axis.place(p), p.probability, p.low, p.high) for p in points]
+    places, probability, low, high = np.array(rows, dtype=np.float64).T
     holds = tuple(not point.caveats for point in points)
     kind = "95 % intervals" if all(holds) else "intervals; dotted: not a 95 % one"
     names = {
         place: f"{place:.2g}{axis.unit}: {name.split(',')[0]}, on video"
         for place, name in sorted(measured_names(memory, axis).items())
     }
-    unit = f" [{axis.unit.strip()}]" if axis.unit else ""
     floor = 10.0 ** math.floor(math.log10(low.min()) - 0.5)
     return PlaneChart(
         title=axis.title.partition(", by")[0],
-        x=Axis(0.0, 1.02 * max(float(places.max()), 1e-9), f"{axis.head}{unit}"),
+        x=Axis(0.0, 1.02 * max(float(places.max()), 1e-9), with_unit(axis.head, axis.unit.strip())),
         y=Axis(floor, 1.5, "P(violation)", log10=True),
         marks=(
             *(marks.Rule(at, name, PEM, marks.SOLID) for at, name in names.items()),
@@ -223,25 +218,13 @@ def starts_chart(found: DangerousStarts) -> PlaneChart | None:
 
 
 def _start_label(value: StartValue) -> str:
-    name = value.name.replace("_", " ")
-    return f"{name} at the start [{value.unit}]" if value.unit else f"{name} at the start"
+    return with_unit(f"{value.name.replace('_', ' ')} at the start", value.unit)
 
 
 def _levels(plane: StartMap) -> tuple[marks.Level, ...]:
-    """Shades of the plane, the likeliest first."""
-    ends = level_ends(plane)
-    words = [f"{_power(end)} and more" for end in ends[:1]]
-    words += [f"from {_power(end)}" for end in ends[1:]]
-    if len(ends) == len(LEVELS):
-        words[-1] = f"below {_power(ends[-2])}"
-    named = zip(ends, words, LEVELS, strict=False)
-    return tuple(marks.Level(end, word, color) for end, word, color in named)
+    """From the likeliest down: decades, and 0.5, as many as there are values for.
 
-
-def level_ends(plane: StartMap) -> tuple[float, ...]:
-    """Lower ends of the levels, decimal logarithms, from the likeliest down: decades, and 0.5.
-
-    As many as there are values for; the last of all shades has whatever lies below too.
+    The last of all shades has whatever lies below too.
     """
     known = [value for row in plane.log10_probability for value in row if value is not None]
     if not known:
@@ -251,7 +234,13 @@ def level_ends(plane: StartMap) -> tuple[float, ...]:
     first = math.floor(highest - 1e-9) if highest < HALF else -1
     ends += [first - step for step in range(len(LEVELS) - len(ends))]
     needed = next((i + 1 for i, end in enumerate(ends) if end <= min(known)), len(ends))
-    return tuple(ends[:needed])
+    ends = ends[:needed]
+    words = [f"{_power(end)} and more" for end in ends[:1]]
+    words += [f"from {_power(end)}" for end in ends[1:]]
+    if len(ends) == len(LEVELS):
+        words[-1] = f"below {_power(ends[-2])}"
+    named = zip(ends, words, LEVELS, strict=False)
+    return tuple(marks.Level(end, word, color) for end, word, color in named)
 
 
 def _power(log10: float) -> str:

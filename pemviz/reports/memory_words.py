@@ -171,7 +171,6 @@ def _by_place(memory: RunMemory, axis: CurveAxis) -> dict[float, CurvePoint]:
 
 
 def _elsewhere(memory: RunMemory, axis: CurveAxis) -> list[str]:
-    """The answer with what was measured of others."""
     points, own = _by_place(memory, axis), axis.own(memory)
     return [
         f"{points[place].probability:.1g} with that of {name} ({place:.2g}{axis.unit})"

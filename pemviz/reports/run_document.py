@@ -81,13 +81,11 @@ def _gate(gate: GateDecision | None) -> Section | None:
 
 
 def _answer(result: RunResult, *, gate: GateDecision | None, running: bool) -> Section:
-    """The probability with its interval, counts and what stands beside it."""
     status, estimate = _status(result, running=running), result.estimate
     if estimate is None:
         title = "The run goes on" if running else f"No estimate: the run {result.status}"
-        return Section(
-            "answer", title, (doc.Headline(title), *status), (doc.Headline(title), *status)
-        )
+        said = (doc.Headline(title), *status)
+        return Section("answer", title, said, said)
     probability = f"Failure probability {estimates.short_probability(estimate)}"
     headline = doc.Headline(probability, _given(result))
     brief = (headline, *status, *map(_quiet, _lines(result, estimate)))
@@ -161,11 +159,9 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
     yield doc.facts(rows)
     chart = charts.interval_chart(result, limit=None if gate is None else gate.limit)
     several = result.repetitions if len(result.repetitions) > 1 else ()
-    dotted = (
-        ""
-        if not (caveats or any(map(interval_caveats, several)))
-        else ("; dotted is not a 95 % interval (the table and the warnings say why)")
-    )
+    dotted = ""
+    if caveats or any(map(interval_caveats, several)):
+        dotted = "; dotted is not a 95 % interval (the table and the warnings say why)"
     yield from figure(chart, caption=f"Probability with its interval, logarithmic axis{dotted}:")
 
 
@@ -190,17 +186,17 @@ def _given_section(result: RunResult) -> Section:
 
 def _diagnostics(result: RunResult, estimate: Estimate) -> Section:
     """The estimate's figures beside what they should be; in full only."""
+    mean, of_mean = (
+        number_text(nll, unit="nats", digits=4)
+        for nll in (estimate.nll_mean, estimate.nll_log_mean)
+    )
     rows = [
         ("standard error", number_text(estimate.std_error), ""),
         ("rollouts simulated", f"{estimate.rollouts_simulated}", ""),
         ("rollouts in the estimate", f"{estimate.rollouts_in_estimate}", ""),
         ("of these, violations", f"{estimate.failures}", "at least ten"),
-        ("mean NLL of the violations", number_text(estimate.nll_mean, unit="nats", digits=4), ""),
-        (
-            "NLL of their mean likelihood",
-            number_text(estimate.nll_log_mean, unit="nats", digits=4),
-            "",
-        ),
+        ("mean NLL of the violations", mean, ""),
+        ("NLL of their mean likelihood", of_mean, ""),
     ]
     if estimate.ess is not None:
         rows += [
@@ -219,14 +215,12 @@ def _diagnostics(result: RunResult, estimate: Estimate) -> Section:
         remarks.append(_quiet(words))
     if method.interval_caveat is not None:
         remarks.append(_quiet(f"The interval: {method.interval_caveat}."))
-    table = doc.Table(
-        ("figure", "found", "wanted"), tuple(rows), name="Diagnostics of the sampling"
-    )
-    return Section("diagnostics", "Diagnostics of the sampling", (), (*remarks, table))
+    title = "Diagnostics of the sampling"
+    table = doc.Table(("figure", "found", "wanted"), tuple(rows), name=title)
+    return Section("diagnostics", title, (), (*remarks, table))
 
 
 def _rules(result: RunResult) -> Section | None:
-    """Each rule's answer; ``None`` without rules."""
     if not result.rules:
         return None
     table = answer_words.rules_table(result)
@@ -239,7 +233,6 @@ def _rules(result: RunResult) -> Section | None:
 
 
 def _rates(result: RunResult) -> Section | None:
-    """The rates of all that is violated and of each rule; ``None`` where none are told."""
     table = answer_words.rates_table(result)
     if table is None:
         return None
@@ -270,7 +263,6 @@ def _curve(memory: RunMemory, axis: memory_words.CurveAxis) -> tuple[Block, ...]
 
 
 def _uncertainty(result: RunResult) -> Section | None:
-    """The sources, as a table and drawn; ``None`` without an estimate."""
     table, chart = answer_words.uncertainty_table(result), charts.uncertainty_chart(result)
     if table is None:
         return None
@@ -281,7 +273,6 @@ def _uncertainty(result: RunResult) -> Section | None:
 
 
 def _models(result: RunResult) -> Section | None:
-    """The answer under other error models; ``None`` without any."""
     chart = charts.models_chart(result)
     if chart is None:
         return None
@@ -298,7 +289,6 @@ def _models(result: RunResult) -> Section | None:
 
 
 def _plan(result: RunResult) -> Section | None:
-    """What to collect and what it would bring; ``None`` if it was not asked for."""
     plan = result.plan
     if plan is None:
         return None
@@ -313,7 +303,6 @@ def _plan(result: RunResult) -> Section | None:
 
 
 def _starts(result: RunResult) -> Section | None:
-    """Where violations start and all starts do not; ``None`` without named starts."""
     if not result.starts:
         return None
     lines = [
@@ -408,7 +397,6 @@ def _warnings(result: RunResult) -> Section:
 
 
 def _extrapolation(result: RunResult) -> Section | None:
-    """Where the error model goes beyond its data; ``None`` where nowhere."""
     found = tuple(map(Caution, data_warnings(result)))
     if not found:
         return None
@@ -431,7 +419,6 @@ def _question(result: RunResult) -> Section:
 
 
 def _worst(result: RunResult) -> Section | None:
-    """The least robust rollout that carries the answer, if any does."""
     if not result.least_robust:
         return None
     worst, config = result.least_robust[0], result.config
@@ -456,7 +443,6 @@ def _worst(result: RunResult) -> Section | None:
 
 
 def _provenance(result: RunResult) -> Section:
-    """Where the numbers come from."""
     status = result.status if result.message is None else f"{result.status}: {result.message}"
     timings = ", ".join(
         f"{part} {seconds:.2f} s" for part, seconds in result.timings_s.items() if part != "total"

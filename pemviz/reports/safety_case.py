@@ -117,7 +117,6 @@ def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> 
 
 
 def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
-    """A run's head, links to its sections, and these."""
     result, config, document = run.result, run.result.config, run_document(run.result)
     named = ", ".join(rule.name for rule in config.rules) or config.spec
     about = f"{named}; {scenario_text(config)}; error model {result.pem.name}; seed {config.seed}"
@@ -229,7 +228,6 @@ def claim_sentence(result: RunResult, *, below: float | None) -> str:
 
 
 def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...]:
-    """Claims by what they take for granted, each with its verdict."""
     found = claims(result, below=below)
     if not found:
         return (Paragraph(claim_sentence(result, below=below)),)
@@ -264,7 +262,6 @@ def _argument(result: RunResult) -> tuple[str, ...]:
 
 
 def _evidence(run: CaseRun, document: Document) -> Iterator[Section]:
-    """Everything that speaks for or against the answer, numbered E1 to E5."""
     for number, (title, keys) in enumerate(EVIDENCE, start=1):
         blocks = [*document.blocks(*keys)]
         if number == 4:
@@ -306,7 +303,6 @@ def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
 
 
 def _data_and_model(run: CaseRun) -> tuple[Block, ...]:
-    """The error model's card, and what it was trained on."""
     info, card = run.result.pem, run.card
     rows = [
         ("error model", info.name),
@@ -338,7 +334,6 @@ def _card_rows(card: PemCard) -> list[tuple[str, str]]:
 
 
 def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
-    """Where the figures come from, and how to have them again."""
     digests = tuple((f"{name} (SHA-256)", doc.Verbatim(v)) for name, v in run.digests.items())
     version = run.result.versions.get("pemviz", "in the same version")
     how = (
@@ -355,7 +350,6 @@ def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
 
 
 def _side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> Iterator[Section]:
-    """Every run's answer and uncertainty, how their settings differ, and what each lets claim."""
     caption = "Estimates with their intervals (sampling alone; dashed: no interval at its level)"
     caption += "" if below is None else f"; the dashed line is {below:g}"
     if len(runs) > MOST_DRAWN:
@@ -400,7 +394,6 @@ def _row(run: CaseRun) -> tuple[str, ...]:
 
 
 def _claims(runs: Sequence[CaseRun], *, below: float | None) -> Table:
-    """A row for what is granted, a column for each run."""
     found = [{one.kind: one for one in claims(run.result, below=below)} for run in runs]
     models = ", ".join(dict.fromkeys(run.result.pem.name for run in runs))
     rows: list[tuple[doc.Cell, ...]] = [

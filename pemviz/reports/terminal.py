@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 
 from pemviz.reports import document as doc
-from pemviz.reports.document import Block, Mark, Section, cell_text
+from pemviz.reports.document import Block, Mark, cell_text
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RunResult
 
@@ -29,8 +29,12 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
     """
     console = Console(highlight=False)
     keys = (*ANSWER, *WHY, *TRUST, *(("worst",) if verbose else ()))
-    if result.estimate is not None:
-        print_sections(console, run_document(result).choose(keys), brief=not verbose)
+    sections = run_document(result).choose(keys) if result.estimate is not None else ()
+    for section in sections:
+        blocks = section.full if verbose else section.brief
+        if _needs_title(blocks):
+            console.print(section.title, style="italic", markup=False, soft_wrap=True)
+        _print(console, blocks)
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
 
@@ -45,15 +49,6 @@ def summary_text(result: RunResult) -> str:
     return "\n".join([first, *(f"  {line}" for line in others)])
 
 
-def print_sections(console: Console, sections: Iterable[Section], *, brief: bool) -> None:
-    """Sections below each other; a title stands over what is more than sentences."""
-    for section in sections:
-        blocks = section.brief if brief else section.full
-        if _needs_title(blocks):
-            console.print(section.title, style="italic", markup=False, soft_wrap=True)
-        print_blocks(console, blocks)
-
-
 def _needs_title(blocks: Sequence[Block]) -> bool:
     """Whether there is more than sentences, and nothing with a name of its own comes first."""
     first = next((b for b in blocks if isinstance(b, doc.Table | doc.Bullets | doc.Figure)), None)
@@ -61,8 +56,7 @@ def _needs_title(blocks: Sequence[Block]) -> bool:
     return first is not None and not named and not isinstance(blocks[0], doc.Headline)
 
 
-def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
-    """Blocks below each other; in place of a chart its words."""
+def _print(console: Console, blocks: Iterable[Block]) -> None:
     for block in blocks:
         match block:
             case doc.Headline():
@@ -82,9 +76,9 @@ def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
             case doc.Table():
                 console.print(_table(block))
             case doc.Figure():
-                print_blocks(console, block.words)
+                _print(console, block.words)
             case doc.Folded():
-                print_blocks(console, block.blocks)
+                _print(console, block.blocks)
 
 
 def _line(console: Console, text: str, *, style: str | None = None) -> None:

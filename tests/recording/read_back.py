@@ -130,7 +130,7 @@ def read_stages(path: Path) -> dict[int, RecordedStage]:
     parts: dict[int, dict[str, Any]] = {}
     for chunk in chunks(path):
         root, *pieces = chunk.entity_path.strip("/").split("/")
-        if chunk.is_static or len(pieces) != 2 or f"/{root}" != paths.ROLLOUTS:
+        if chunk.is_static or len(pieces) != 2 or root != "rollouts":
             continue
         stage, part = int(pieces[0].removeprefix("stage_")), pieces[1]
         found = parts.setdefault(stage, {"table": {}, "series": {}})
