@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from pemviz.pem import PemCard, PemError, load_pem, load_table, save_pem, support_from_json
+from pemviz.pem import PemCard, PemError, load_pem, load_table, save_pem
 from pemviz.pem.data.collect import collect
-from pemviz.pem.data.support import DISTANCE_EDGES_M, LATERAL_EDGES_M
 from pemviz.pem.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
@@ -130,20 +129,6 @@ def test_deep_trees_are_fine_up_to_the_limit():
 def test_a_table_whose_lines_overflow_is_refused(distance_m, logit):
     with pytest.raises(PemError, match="overflow"):
         TabulatedPem(CARD, np.array(distance_m, dtype=float), np.array(logit))
-
-
-@pytest.mark.parametrize(
-    "cells", [[[0, 0, 0, 0, 0, 1.5, 0]], [[0, 0, 0, 0, 0, 10**30, 0]], [[0, 0, 0, 0, 0, True, "x"]],
-              [[0, 0, 0, 0, 0, 10**15, 0]], "x", [[1]], [[-1, 0, 0, 0, 0, 1, 0]]],
-)  # fmt: skip
-def test_damaged_counts_are_refused(cells):
-    values = {
-        "distance_edges_m": list(DISTANCE_EDGES_M),
-        "lateral_edges_m": list(LATERAL_EDGES_M),
-        "cells": cells,
-    }
-    with pytest.raises(PemError, match="support counts"):
-        support_from_json(values, where="here")
 
 
 @pytest.fixture

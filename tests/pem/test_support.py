@@ -160,8 +160,12 @@ def test_heading_wraps_around_and_bands_close_below():
         ({"cells": [[0, 0, 0, 0, 99, 1, 0]]}, "malformed"),
         ({"cells": [[0, 0, 0, 0, 1, 1, 2]]}, "contradictory"),
         ({"distance_edges_m": [1.0]}, "other bands"),
+        *(({"cells": cells}, "support counts") for cells in (
+            [[0, 0, 0, 0, 0, 1.5, 0]], [[0, 0, 0, 0, 0, 10**30, 0]], [[0, 0, 0, 0, 0, True, "x"]],
+            [[0, 0, 0, 0, 0, 10**15, 0]], "x", [[1]], [[-1, 0, 0, 0, 0, 1, 0]],
+        )),
     ],
-)
+)  # fmt: skip
 def test_malformed_counts_are_refused(change, words):
     values = {**support_of(load_pem("ml-nn")).to_json(), **change}
     with pytest.raises(PemError, match=words):

@@ -76,11 +76,9 @@ class CollectedCounts:
     """What happened on the way, of every format."""
 
     missed: int = 0
-    """Obstacles that the detector missed."""
     dropped: int = 0
     """Labels left out: what the options say, else class Misc or unknown occlusion."""
     bad_lines: int = 0
-    """Malformed lines passed over."""
     first_bad: str = ""
     """What was wrong with the first of them."""
 

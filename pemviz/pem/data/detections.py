@@ -154,7 +154,6 @@ def _class_name(number: int, class_names: Sequence[str]) -> str:
 
 
 def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
-    """Image sizes [px] by frame."""
     if path is None:
         raise PemError("YOLO detections are shares of the image: give the image sizes as CSV")
     if not is_file(path):
@@ -183,7 +182,6 @@ def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
 def _open_coco(
     path: Path, *, class_names: Sequence[str], missing_is_empty: bool, on_bad: OnBadLine
 ) -> FrameDetections:
-    """A COCO results list, or a COCO object with images, annotations and categories."""
     if not is_file(path):
         raise PemError(f"{path}: no such file")
     try:

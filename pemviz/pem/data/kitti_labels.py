@@ -45,20 +45,17 @@ class Obstacle:
     """One labelled object."""
 
     type: str
-    """One of TYPES."""
     truncation: float
     """Share of it that lies outside the image, 0 to 1."""
     occlusion: int
     """0 none, 1 partly, 2 largely, 3 unknown."""
     alpha_rad: float
-    """Observation angle [rad]."""
     box_px: Box
     dimensions_m: tuple[float, float, float]
     """Height, width, length [m]."""
     location_m: tuple[float, float, float]
     """Centre of the bottom face in the camera frame: x right, y down, z forward [m]."""
     rotation_y_rad: float
-    """Rotation about the camera's y axis [rad]."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,6 @@ def _tracked(cells: list[str], where: str) -> TrackedObstacle | None:
 
 
 def _obstacle(cells: list[str], *, where: str, columns_before: int = 0) -> Obstacle:
-    """The obstacle of a label's cells, perhaps with a score, as KITTI writes it."""
     if len(cells) not in (len(LABEL_COLUMNS), len(LABEL_COLUMNS) + 1):
         needed = len(LABEL_COLUMNS) + columns_before
         raise PemError(f"{where}: {len(cells) + columns_before} columns where {needed} are needed")

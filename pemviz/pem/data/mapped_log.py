@@ -76,7 +76,6 @@ class ColumnMapping:
     labels: FileShape
     detections: FileShape
     columns: Mapping[str, Source | float]
-    """A source, or a constant."""
 
 
 def read_mapping(path: Path) -> ColumnMapping:
@@ -105,7 +104,6 @@ def read_mapping(path: Path) -> ColumnMapping:
 
 
 def _columns(given: object) -> Mapping[str, Source | float]:
-    """The sources by column."""
     table: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
     if missing := [name for name in NEEDED if name not in table]:
         message = f"columns: lacks {', '.join(missing)}"
@@ -192,7 +190,6 @@ def _file_rows(path: Path, shape: FileShape) -> Iterator[tuple[str, Cells]]:
 
 
 def _row(plan: ColumnMapping, cells: Cells, where: str) -> dict[str, str]:
-    """A row's texts by column of the table."""
     columns, texts = plan.columns, dict[str, str]()
     for name in TRACK_COLUMNS:
         if name in columns:

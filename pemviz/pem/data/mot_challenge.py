@@ -133,7 +133,6 @@ def _line(
 
 
 def _sequence_files(folder: Path, kind: Literal["gt", "det"]) -> dict[str, Path]:
-    """The file of each sequence, by name."""
     found: dict[str, Path] = {}
     if is_folder(folder):
         found = {path.parents[1].name: path for path in folder.glob(f"*/{kind}/{kind}.txt")}

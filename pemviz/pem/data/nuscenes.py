@@ -170,7 +170,6 @@ def _read_samples(
 
 
 def _box_of(row: Mapping[str, Any], name: str, *, where: str) -> Box:
-    """The box of an annotation or a detection."""
     size = _vector(row, "size", 3, where=where)
     if not (size > 0.0).all():
         raise PemError(f"{where}: 'size' must be above 0")
@@ -182,7 +181,6 @@ def _box_of(row: Mapping[str, Any], name: str, *, where: str) -> Box:
 
 
 def _vector(row: Mapping[str, Any], field: str, length: int, *, where: str) -> FloatArray:
-    """A field's numbers ``[length]``."""
     given: Any = row.get(field)
     is_list = isinstance(given, list) and len(given) == length
     if not is_list or not all(type(value) in (int, float) for value in given):
@@ -334,7 +332,6 @@ class NuscenesCounts(CollectedCounts):
     """Samples with an entry in the detections' file."""
     tracks: int = 0
     observations: int = 0
-    """Rows written: an obstacle in a sample."""
     other_types: int = 0
     """Labels of the classes that error models do not have, or that were not asked for."""
     without_points: int = 0
@@ -403,7 +400,6 @@ def collect_nuscenes(
 
 
 def _read_results(path: Path) -> Mapping[str, Any]:
-    """What was detected, by sample."""
     with open_text(path) as stream:
         try:
             content: Any = parse_json(stream.read())

@@ -182,7 +182,6 @@ def load_error_csv(path: Path, *, rate_hz: float | None = None) -> PositionError
 
 
 def _detected(csv: CsvTable) -> CsvTable:
-    """The lines of detected obstacles."""
     if OUTCOME_COLUMN in csv.header:
         column = csv.header.index(OUTCOME_COLUMN)
         for number, cells in csv.lines:

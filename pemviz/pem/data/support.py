@@ -2,7 +2,7 @@
 
 Training obstacles are counted in cells of class, occlusion, lateral offset, heading and distance.
 The counts ship with the model, the data does not. Where a scenario evaluates a model on what its
-training data never showed is told in words.
+training data never showed is said in words.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -169,15 +169,12 @@ class BandSupport:
     high_m: float | None
     """Upper edge of z [m]; None for the farthest band."""
     visits: int
-    """Rows of the scenario in the band."""
     obstacles: int
     """Training obstacles of the same class, occlusion, lateral band and heading."""
     missed: int
-    """Those among them that the detector missed."""
     miss_low: float
-    """Exact 95 % interval for P(missed) by the data alone: its lower end."""
+    """Exact 95 % interval for P(missed) by the data alone: its lower and upper end."""
     miss_high: float
-    """Its upper end."""
     miss_bound: float
     """Exact one-sided upper 95 % bound for P(missed) by the data alone."""
     model_miss: float | None
@@ -192,7 +189,6 @@ class SupportReport:
     """The kinds of obstacle that the scenario shows, in words."""
     bands: tuple[BandSupport, ...]
     warnings: tuple[str, ...]
-    """Where the model extrapolates or contradicts the data, near to far; empty if nowhere."""
 
 
 def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> SupportReport:

@@ -1,6 +1,6 @@
 """A made-up table of obstacles, to try fitting and evaluating without KITTI.
 
-``python -m pemviz.pem.data.synthetic OUT.csv`` writes it. Obstacles are drawn from simple laws with
+``python -m pemviz.pem.data.synthetic OUT.csv`` writes it. Obstacles are sampled from laws with
 sizes and places typical of streets; the detector is a formula, `true_logit`, so that what a model
 should learn is known. Nothing in it comes from KITTI.
 """
@@ -31,7 +31,7 @@ _SIZES_M = (
 
 
 def synthetic_table(*, obstacles: int = OBSTACLES, seed: int = SEED) -> SalientTable:
-    """Draw obstacles and outcomes, rounded to two decimals as labels are."""
+    """Sample obstacles and outcomes, rounded to two decimals as labels are."""
     random = np.random.default_rng(seed)
     rows = np.empty((obstacles, len(SALIENT_COLUMNS)))
     class_id = random.choice(len(_CLASS_SHARES), obstacles, p=_CLASS_SHARES)
@@ -58,7 +58,7 @@ def synthetic_table(*, obstacles: int = OBSTACLES, seed: int = SEED) -> SalientT
 
 
 def true_logit(rows: FloatArray) -> FloatArray:
-    """The logit of P(detected) from which outcomes are drawn, shape [n], of rows [n, 11]."""
+    """The logit of P(detected) from which outcomes are sampled, shape [n], of rows [n, 11]."""
     height, z_m = rows[:, COLUMN["height_m"]], rows[:, COLUMN["z_m"]]
     apparent = np.log(height / np.maximum(z_m, 0.5))
     occlusion, truncation = rows[:, COLUMN["occlusion"]], rows[:, COLUMN["truncation"]]

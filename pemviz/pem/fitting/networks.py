@@ -97,7 +97,6 @@ def fit_network(
 def _as_tensors(
     table: SalientTable, pose_mean: FloatArray, pose_std: FloatArray
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The paper's inputs [n, 14] and outcomes [n]."""
     inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
     return (
         torch.tensor(np.ascontiguousarray(inputs), dtype=torch.float32),

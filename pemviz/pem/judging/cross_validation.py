@@ -48,16 +48,14 @@ class ReliabilityBin:
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of one model on one set of obstacles."""
+    """Scores of one model on one set of obstacles; without a ROC-AUC if only one outcome occurs."""
 
     obstacles: int
     missed: int
     bce: float
     """Binary cross-entropy [nats per obstacle]."""
     roc_auc: float | None
-    """Area under the ROC curve; None if only one outcome occurs."""
     brier: float
-    """Mean squared error of the probability."""
     mean_miss: float
     """Mean predicted P(missed)."""
 
@@ -116,11 +114,9 @@ class ModelEvaluation:
     folds: tuple[Scores, ...]
     """Scores on each held-out part."""
     pooled: Scores
-    """Scores over all obstacles."""
     calibration_error: float
     """Expected calibration error over all obstacles, 15 bins of equal mass."""
     bins: tuple[ReliabilityBin, ...]
-    """The reliability diagram."""
     by_class: dict[str, Scores]
     by_distance: dict[str, Scores]
     fit_s: float
@@ -363,7 +359,6 @@ def _lines(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> It
 
 
 def _write_reliability(evaluations: Sequence[ModelEvaluation], path: Path) -> None:
-    """Observed against predicted P(missed) in bins of equal mass, both on log axes."""
     from matplotlib.figure import Figure  # noqa: PLC0415 (slow to import)
 
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")

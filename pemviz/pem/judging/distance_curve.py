@@ -46,7 +46,6 @@ class DistanceCurve:
     """P(missed) against distance."""
 
     z_m: FloatArray
-    """Distances [m], shape [n]."""
     miss: FloatArray
     """The model's P(missed), shape [n]."""
     band: tuple[FloatArray, FloatArray] | None

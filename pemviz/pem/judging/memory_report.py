@@ -182,7 +182,6 @@ def plain_view(tracks: TrackTable) -> list[dict[str, Any]]:
 
 
 def _bands(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
-    """Parts of the observations by distance, ``[n]`` each."""
     z_m = tracks.obstacles.salient[:, COLUMN["z_m"]]
     return [
         (f"{low:g} to {high:g} m", (z_m >= low) & (z_m < high)) for low, high in DISTANCE_BANDS_M
@@ -190,7 +189,6 @@ def _bands(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
 
 
 def _parts(tracks: TrackTable) -> list[tuple[str, BoolArray]]:
-    """All observations, by distance, by occlusion."""
     everything = ("all", np.ones(len(tracks), dtype=np.bool_))
     if not tracks.has_state:
         return [everything]
@@ -378,12 +376,10 @@ def draw_lags(axes: "Axes", correlations: Sequence[Mapping[str, Any]]) -> None:
     rows = [row for row in correlations if row["measured"] is not None]
     fitted = [row for row in rows if row["fitted"] is not None]
     lag_s = [float(row["lag_s"]) for row in rows]
-    measured = [float(row["measured"]) for row in rows]
-    axes.plot(lag_s, measured, "s-", color=MEASURED, label="measured")
-    told = [float(row["fitted"]) for row in fitted]
-    axes.plot(
-        [float(row["lag_s"]) for row in fitted], told, "o-", color=FITTED, label="fitted model"
-    )
+    axes.plot(lag_s, [float(row["measured"]) for row in rows], "s-", color=MEASURED,
+              label="measured")  # fmt: skip
+    axes.plot([float(row["lag_s"]) for row in fitted], [float(row["fitted"]) for row in fitted],
+              "o-", color=FITTED, label="fitted model")  # fmt: skip
     axes.axhline(0.0, color=INDEPENDENT, label="if independent")
     axes.set_xscale("log")
     axes.set_xticks(lag_s, [f"{lag:g}" for lag in lag_s])

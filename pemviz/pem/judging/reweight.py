@@ -1,6 +1,6 @@
 """One set of rollouts, many perception error models: mu under each by importance weights.
 
-The simulator's answer to a chain of detections does not depend on the model, so rollouts drawn
+The simulator's answer to a chain of detections does not depend on the model, so rollouts sampled
 from any proposal estimate mu under every model: mu_m = 1/N sum over violating rollouts of
 p_m(outcomes | states) / q(outcomes | states).
 """
@@ -44,18 +44,16 @@ class PemInterval:
     worst_effective_failures: float
     """Smallest effective number of violating rollouts of any member."""
     warnings: tuple[str, ...]
-    """What limits the interval, in words."""
 
 
 @dataclass(frozen=True)
 class RatioInterval:
-    """Ratio of mu under a new model to mu under an old one."""
+    """Ratio of mu under a new model to mu under an old one; its interval covers sampling alone."""
 
     log10_ratio: float
     log10_low: float
     log10_high: float
     confidence: float
-    """Level of the interval, which covers sampling alone."""
     effective_failures: float
     """Smaller of the two models' effective numbers of violating rollouts."""
 

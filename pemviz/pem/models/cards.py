@@ -75,9 +75,7 @@ class PemCard:
     recipe: str = "not stated"
     """How it was trained, in words."""
     seed: int = 0
-    """Of everything random in its training."""
     scores: Mapping[str, float] = field(default_factory=dict[str, float])
-    """By name, as measured when it was trained."""
     support: Json = field(default_factory=dict[str, Any])
     """Counts of training obstacles and misses by distance; see pemviz.pem.data.support."""
     memory: Json = field(default_factory=dict[str, Any])
@@ -215,7 +213,7 @@ def _check_fields(values: Json, card: type[Any], *, needed: set[str], where: str
 
 @contextmanager
 def as_pemviz_writes(what: str) -> Generator[None]:
-    """For reading tables of a card: what is missing or of another type is told in one line.
+    """For reading tables of a card: what is missing or of another type is said in one line.
 
     Raises:
         PemError: Something is.
@@ -314,7 +312,6 @@ def _shown(value: float | None, *, none: str = "") -> str:
 
 
 def _lags(rows: Sequence[Json], *, none: str = "") -> list[tuple[str, ...]]:
-    """Cells of correlations by the time between two observations of one obstacle."""
     return [
         (
             f"{row['lag_s']:g} s",

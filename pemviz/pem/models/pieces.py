@@ -90,7 +90,6 @@ def _along(pem: DetectorModel, rows: FloatArray, column: int | None) -> FloatArr
 
 
 def _mean_along(pem: EnsemblePem, rows: FloatArray) -> FloatArray:
-    """Logit ``[n]`` of the members' mean P(detected)."""
     column = _varying_pose(rows)
     logits = np.stack([_along(member, rows, column) for member in pem.members], axis=1)
     return map_rows(mean_probability_logit, logits)

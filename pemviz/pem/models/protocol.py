@@ -1,4 +1,4 @@
-"""What a perception error model is to the rest of the project, and what one is asked about."""
+"""What a perception error model is to the rest of the project, and what one answers for."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence

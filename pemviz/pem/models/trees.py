@@ -96,7 +96,6 @@ class TreesPem(Carded):
 
     card: PemCard
     feature_set: FeatureSet
-    """Which features the trees look at."""
     feature: AnyArray
     """Per node, the index of the feature it splits on or LEAF; uint8, shape [nodes]."""
     number: FloatArray
@@ -140,7 +139,6 @@ class TreesPem(Carded):
         return (self.calibration[0] * sums + self.calibration[1]).reshape(shape)
 
     def _sums(self, rows: FloatArray) -> FloatArray:
-        """Sum over trees of the leaf values, shape [n], of salient variables [n, 11]."""
         if not len(rows):
             return np.empty(0)
         # in chunks of fixed size, so that a row's last digits do not depend on how many there are
@@ -160,7 +158,6 @@ class TreesPem(Carded):
         return np.concatenate(sums)[place]
 
     def _leaf_sums(self, features: FloatArray) -> FloatArray:
-        """Sum over trees of the leaf values, shape [n], of features [features, n]."""
         plan = self._plan
         jump = plan.shortcuts(features)
         columns = features.shape[1]

@@ -1,24 +1,159 @@
-"""Networks asked along one pose variable by their pieces answer as they do row by row."""
+"""What models answer: as torch does, as a walk down every tree; the same in every batch."""
 
+import math
+import subprocess
+import sys
 from dataclasses import replace
 from decimal import Decimal, localcontext
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file
 
 from pemviz.config import ScenarioConfig
-from pemviz.errors import PemError
-from pemviz.pem import load_pem
+from pemviz.pem import PemError, load_pem, load_table, shipped_pems
+from pemviz.pem.models import trees
 from pemviz.pem.models.ensemble import mean_probability_logit
 from pemviz.pem.models.network import PAPER_INPUTS, Layer
 from pemviz.pem.models.pieces import FEWEST_ROWS, chain_logit_along, kinks, logit_along
 from pemviz.pem.models.protocol import COLUMN
+from pemviz.pem.models.trees import tree_features
 from pemviz.sampling.state.composed import ComposedPem
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.simulators.braking.scenario import lead_car_salient
+from tests.pem.helpers import braking_rows, random_rows, seeds
+
+
+def torch_logits(tensors, inputs, dtype):
+    """The authors' network as torch builds it, batch normalisation unfolded."""
+    nn = torch.nn
+    hidden = [nn.Linear(14, 20), nn.BatchNorm1d(20), nn.ReLU()]
+    hidden += [nn.Linear(20, 20), nn.BatchNorm1d(20), nn.ReLU()]
+    network = nn.Sequential(*hidden, nn.Linear(20, 1))
+    state = {
+        key.removeprefix("ff_nn."): torch.tensor(value)
+        for key, value in tensors.items()
+        if key.startswith("ff_nn.")
+    }
+    network.load_state_dict(state)
+    network = network.to(dtype).eval()
+    with torch.no_grad():
+        return network(torch.tensor(inputs, dtype=dtype))[:, 0].numpy()
+
+
+def authors_inputs(rows, tensors):
+    pose = (rows[:, 7:] - tensors["input_mean"][7:]) / tensors["input_std"][7:]
+    one_hot = (np.eye(7)[rows[:, 0].astype(int)], np.eye(3)[rows[:, 2].astype(int)])
+    return np.concatenate([*one_hot, pose], axis=1)
+
+
+def test_authors_checkpoint_agrees_with_torch(authors_checkpoint, kitti_folder):
+    tensors = load_file(authors_checkpoint)
+    rows = np.concatenate(
+        [load_table(kitti_folder).salient[:3000], braking_rows(np.linspace(-30, 25, 200))]
+    )
+    ours = load_pem(str(authors_checkpoint)).logit(rows)
+    inputs = authors_inputs(rows, tensors)
+    np.testing.assert_allclose(ours, torch_logits(tensors, inputs, torch.float64), atol=1e-9)
+    single = torch_logits(tensors, inputs, torch.float32)
+    np.testing.assert_allclose(ours, single, atol=1e-4)
+    probability = 1 / (1 + np.exp(-ours))
+    np.testing.assert_allclose(probability, 1 / (1 + np.exp(-single.astype(float))), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", shipped_pems())
+@settings(derandomize=True, deadline=None, max_examples=15)
+@given(seed=seeds, count=st.integers(1, 1200))
+def test_a_row_gives_the_same_bits_in_every_batch(name, seed, count):
+    pem = load_pem(name)
+    rng = np.random.default_rng(seed)
+    rows = random_rows(rng, count)
+    whole = pem.logit(rows)
+    order = rng.permutation(count)
+    np.testing.assert_array_equal(pem.logit(rows[order]), whole[order])
+    first, last = sorted(rng.integers(0, count + 1, 2))
+    np.testing.assert_array_equal(pem.logit(rows[first:last]), whole[first:last])
+    np.testing.assert_array_equal(pem.logit(rows[0]), whole[0])
+    np.testing.assert_array_equal(pem.logit(rows[:, None]), whole[:, None])
+
+
+def test_running_a_pem_imports_neither_torch_nor_sklearn():
+    code = (
+        "import sys; from pemviz.pem import load_pem; load_pem('ml-nn').logit([[0] * 9 + [10, 0]]);"
+        "assert not {'torch', 'sklearn', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        (0, 7, "class_id is 7"),
+        (0, 0.5, "class_id"),
+        (2, -1, "occlusion"),
+        (9, np.nan, "z_m is nan"),
+    ],
+)
+def test_salient_variables_that_no_model_knows_are_refused(column, value, words):
+    rows = braking_rows([5.0, 6.0])
+    rows[1, column] = value
+    with pytest.raises(PemError, match=f"salient row 1: .*{words}"):
+        load_pem("ml-nn").logit(rows)
+
+
+def test_wrong_number_of_columns_is_refused():
+    with pytest.raises(PemError, match=r"shape \[3, 10\]"):
+        load_pem("ml-nn").logit(np.zeros((3, 10)))
+
+
+TREES = load_pem("gb-raw")
+
+
+def walked(pem, row):
+    """Logit of one row [11], node by node."""
+    features = tree_features(row[None], feature_set=pem.feature_set)[:, 0]
+    leaves = []
+    for root in pem.root:
+        node = int(root)
+        while pem.feature[node] != trees.LEAF:
+            goes_right = features[pem.feature[node]] > pem.number[node]
+            node = int(pem.left[node]) + int(goes_right)
+        leaves.append(float(pem.number[node]))
+    return pem.calibration[0] * math.fsum(leaves) + pem.calibration[1]
+
+
+@pytest.mark.parametrize("largest_cell", [trees.LARGEST_CELL, 100])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        braking_rows(np.linspace(-5.0, 40.0, 3000)),
+        random_rows(np.random.default_rng(3), 3000),
+        braking_rows([]),
+    ],
+    ids=["along a gap", "anywhere", "none"],
+)
+def test_walking_down_every_tree(monkeypatch, rows, largest_cell):
+    monkeypatch.setattr(trees, "LARGEST_CELL", largest_cell)
+    every_75th = slice(None, None, 75)
+    expected = [walked(TREES, row) for row in rows[every_75th]]
+    np.testing.assert_array_equal(TREES.logit(rows)[every_75th], expected)
+
+
+def test_rows_on_both_sides_of_a_threshold_are_told_apart():
+    # left if feature <= threshold: the threshold itself and the next number above it part
+    plan = TREES._plan
+    depth = trees.FEATURES[TREES.feature_set].index("z_m")
+    threshold = plan.thresholds[depth][plan.thresholds[depth].size // 2]
+    features = np.zeros((len(plan.thresholds), 3))
+    features[depth] = [np.nextafter(threshold, -np.inf), threshold, np.nextafter(threshold, np.inf)]
+    first, place = plan.equal(features)
+    np.testing.assert_array_equal(first, [0, 2])
+    np.testing.assert_array_equal(place, [0, 0, 1])
+
 
 PEM = load_pem("ml-nn")
 POSES = ("x_m", "y_m", "z_m", "rotation_y_rad")
