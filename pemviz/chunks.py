@@ -5,10 +5,9 @@ one size, the last padded, a row's result depends on nothing but the row; so row
 equal, as those of rollouts that have met the same misses, need only be evaluated once.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pemviz.arrays import FloatArray, IntArray
 
@@ -23,13 +22,21 @@ def map_rows(
 ) -> FloatArray:
     """Apply ``function`` (``[ROWS, D]`` to ``[ROWS]``) to rows ``[N, D]``, giving ``[N]``.
 
-    Args:
-        function: What is applied.
-        rows: To what.
-        padded: Whether what the function gives a row depends on how many there are, so that the
-            last chunk has to be filled up with zeros.
+    ``padded`` where what the function gives a row depends on how many there are, so that the last
+    chunk has to be filled up with zeros.
     """
-    return map_distinct(lambda distinct: _map_chunks(function, distinct, padded), rows)
+
+    def in_chunks(distinct: FloatArray) -> FloatArray:
+        result = np.empty(len(distinct))
+        for start in range(0, len(distinct), ROWS):
+            chunk = distinct[start : start + ROWS]
+            size = len(chunk)
+            if padded and size < ROWS:
+                chunk = np.concatenate([chunk, np.zeros((ROWS - size, rows.shape[1]))])
+            result[start : start + size] = function(chunk)[:size]
+        return result
+
+    return map_distinct(in_chunks, rows)
 
 
 def map_distinct(function: Callable[[FloatArray], FloatArray], rows: FloatArray) -> FloatArray:
@@ -48,7 +55,12 @@ def distinct_rows(rows: FloatArray) -> tuple[IntArray, IntArray] | None:
     """
     bits = np.asarray(rows, dtype=np.float64).view(np.uint64)
     columns = [column for column in bits.T if not (column == column[:1]).all()]
-    first, place = distinct(_hashes(columns, rows.shape[0]).view(np.int64))
+    hashes = np.zeros(rows.shape[0], dtype=np.uint64)  # one number for each row
+    for column in columns:
+        hashes ^= column
+        hashes *= MULTIPLIER
+        hashes ^= hashes >> np.uint64(29)
+    first, place = distinct(hashes.view(np.int64))
     if 2 * first.size > rows.shape[0]:
         return None
     like = first[place]
@@ -79,27 +91,3 @@ def distinct(keys: IntArray) -> tuple[IntArray, IntArray]:
         multiplier += np.uint64(2)  # stays odd
     is_first = first == every
     return np.flatnonzero(is_first), (np.cumsum(is_first) - 1)[first]
-
-
-def _hashes(columns: Sequence[NDArray[np.uint64]], count: int) -> NDArray[np.uint64]:
-    """One number ``[count]`` for each row of columns ``[count]``; equal rows have the same."""
-    result = np.zeros(count, dtype=np.uint64)
-    for column in columns:
-        result ^= column
-        result *= MULTIPLIER
-        result ^= result >> np.uint64(29)
-    return result
-
-
-def _map_chunks(
-    function: Callable[[FloatArray], FloatArray], rows: FloatArray, padded: bool
-) -> FloatArray:
-    count = rows.shape[0]
-    result = np.empty(count)
-    for start in range(0, count, ROWS):
-        chunk = rows[start : start + ROWS]
-        size = chunk.shape[0]
-        if padded and size < ROWS:
-            chunk = np.concatenate([chunk, np.zeros((ROWS - size, rows.shape[1]))])
-        result[start : start + size] = function(chunk)[:size]
-    return result

@@ -159,12 +159,7 @@ class Proposal(Protocol):
     """A distribution of perception's outcomes that rollouts are sampled from."""
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
-        """Logit of the probability of 'detected', elementwise ``[...]``.
-
-        Args:
-            states: Arrays ``[...]``.
-            pem_logit: The perception error model's own logit at these states, ``[...]``.
-        """
+        """Logit of the probability of 'detected', given the model's own at states ``[...]``."""
         ...
 
     def arrays(self) -> Mapping[str, AnyArray]:

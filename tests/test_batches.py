@@ -72,18 +72,8 @@ def states_by_row(generator, count):
     return states(generator, count, generator.integers(0, 9, size=(count, 1)))
 
 
-KINDS = (
-    rollouts,
-    scored,
-    particles,
-    states_of_one_step,
-    states_by_step,
-    states_by_row,
-)
 each_kind = pytest.mark.parametrize(
-    "kind",
-    KINDS,
-    ids=("rollouts", "scored", "particles", "one-step", "by-step", "by-row"),
+    "kind", [rollouts, scored, particles, states_of_one_step, states_by_step, states_by_row]
 )
 seeds = st.integers(0, 2**32 - 1)
 

@@ -8,19 +8,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = (
-    "torch",
-    "rerun",
-    "viser",
-    "pygame",
-    "highway_env",
-    "sklearn",
-    "matplotlib",
-    "gymnasium",
-    "numba",
+NEITHER = (
+    *("torch", "rerun", "viser", "pygame", "highway_env", "sklearn", "matplotlib", "gymnasium"),
+    *("numba", "scipy", "lark", "safetensors"),
 )
-SLOW = ("scipy", "lark", "safetensors")
-NEITHER = (*HEAVY, *SLOW)
 
 CODE = """
 import sys

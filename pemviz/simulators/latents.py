@@ -68,9 +68,7 @@ class NamesStarts(Protocol):
 def within(simulator: object, kind: type[Part]) -> Part | None:
     """The part of a kind, at or beneath what wraps it as its ``scenario``; ``None``: there is none.
 
-    Args:
-        simulator: Any.
-        kind: A class, or a protocol that can be checked.
+    The kind is a class, or a protocol that can be checked.
     """
     part: object = simulator
     while part is not None and not isinstance(part, kind):
@@ -88,10 +86,8 @@ def begun(
 ) -> StateBatch:
     """The states in which ``count`` rollouts start.
 
-    Args:
-        simulator: The scenario, with or without latents.
-        count: Number of rollouts N.
-        start: Its latents, ``[N, S]``; ``None``: all 0, the median.
+    Latents ``start [N, S]`` are left out where the scenario takes none; ``None``: all 0, the
+    median.
 
     Raises:
         SimulationError: The scenario raises something.
@@ -113,13 +109,9 @@ def stepped(
     detected: BoolArray,
     noise: FloatArray | None = None,
 ) -> StateBatch:
-    """The next states after outcomes ``[N]``.
+    """The next states after outcomes ``[N]``, or as the scenario has its outcomes.
 
-    Args:
-        simulator: The scenario, with or without latents.
-        states: ``[N]``.
-        detected: ``[N]``, or as the scenario has its outcomes.
-        noise: Latents of the step, ``[N, M]``; ``None``: all 0.
+    Latents of the step ``noise [N, M]`` are left out where it takes none; ``None``: all 0.
 
     Raises:
         SimulationError: The scenario raises something.

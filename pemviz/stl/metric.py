@@ -65,16 +65,10 @@ class Metric(ABC):
 
     @abstractmethod
     def until(self, left: FloatArray, right: FloatArray, first: int, last: int) -> FloatArray:
-        """``until`` over [first, last].
+        """``until`` over [first, last], inclusive: [steps, n].
 
-        Args:
-            left: [steps + last, n], from the first step on.
-            right: [steps + last - first, n], from ``first`` steps later on.
-            first: start of the interval.
-            last: end of the interval, inclusive.
-
-        Returns:
-            [steps, n].
+        ``left`` is [steps + last, n], from the first step on, and ``right``
+        [steps + last - first, n], from ``first`` steps later on.
         """
 
 
@@ -88,12 +82,8 @@ def evaluate(  # noqa: PLR0911 (one case per operator)
 ) -> FloatArray:
     """Value of ``formula`` at steps ``start .. start + steps - 1``, [steps, n].
 
-    Args:
-        formula: its horizon must fit behind the last of these steps.
-        metric: what is made of every operator.
-        signals: arrays [T, n] by name, at least one (it gives n).
-        start: first step.
-        steps: number of steps.
+    The formula's horizon must fit behind the last of these steps; ``signals`` are arrays [T, n] by
+    name, at least one (it gives n).
 
     Raises:
         TypeError: a kind of formula that this function does not know.

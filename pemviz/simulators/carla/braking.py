@@ -128,13 +128,9 @@ def place_of(
     *,
     along: "carla.Vector3D",
 ) -> CarPlace:
-    """Where a car is along the road.
+    """Where an actor is along the road, whose direction ``along`` has length 1.
 
-    Args:
-        transform: The actor's, in the world.
-        velocity: The actor's, in the world [m/s].
-        box: The actor's; its centre lies beside the actor's, and ``extent`` is half its size.
-        along: The road's direction, of length 1.
+    The box's centre lies beside the actor's, and its ``extent`` is half its size.
     """
     ahead = transform.get_forward_vector()
     at = transform.location

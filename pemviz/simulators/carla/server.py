@@ -46,12 +46,9 @@ def braking_on_carla(config: ScenarioConfig, address: str) -> CarlaBraking:
 
 
 def connected(host: str, port: int, *, connect_s: float = CONNECT_S) -> "carla.Client":
-    """The client of a server that answers.
+    """The client of a server that answers within ``connect_s``.
 
-    Args:
-        host: Where the server is.
-        port: Its first port; it also uses the next one.
-        connect_s: How long to wait for an answer.
+    The server also uses the port after its first, which is ``port``.
 
     Raises:
         ConfigError: The client is not installed; nothing listens there, what does is no CARLA
@@ -176,12 +173,7 @@ class Stage:
     """A server's world, from the moment that it is ours until it is given back."""
 
     def __init__(self, client: "carla.Client", config: ScenarioConfig, *, where: str) -> None:
-        """Make the world.
-
-        Args:
-            client: Of the server.
-            config: The scenario.
-            where: The server, for messages.
+        """Make the world of the scenario; ``where`` names the server in messages.
 
         Raises:
             ConfigError: Somebody else drives the server.
@@ -239,11 +231,7 @@ class Stage:
         return ego, lead
 
     def step(self, pressed: Pedals, lead_mps: float) -> tuple[CarPlace, CarPlace]:
-        """Both cars one tick on.
-
-        Args:
-            pressed: The ego's pedals.
-            lead_mps: Speed that the lead car has after it.
+        """Both cars one tick on, after which the lead car has the speed ``lead_mps``.
 
         Raises:
             RunError: The server does not answer, or refuses.

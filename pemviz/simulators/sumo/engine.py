@@ -64,11 +64,9 @@ class Engine:
 
     @contextmanager
     def use(self, owner: Hashable, options: Sequence[str]) -> Generator[tuple[Any, bool]]:
-        """Have the simulation to oneself: libsumo, and whether it was loaded anew.
+        """Have the simulation to oneself: libsumo, and whether it was loaded anew, by ``options``.
 
-        Args:
-            owner: Who, or what, it is loaded for; one that still has it finds it as left.
-            options: SUMO's command line, for when it has to be loaded.
+        An owner that still has it finds it as left.
 
         Raises:
             ConfigError: libsumo is not installed.
