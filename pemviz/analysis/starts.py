@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
 from pemviz.config.ranges import AtLeastZero, Count, Log10
 from pemviz.simulators.latents import NamesStarts, latent_counts
 
@@ -226,7 +226,7 @@ class DangerousStarts:
 
 
 @dataclass(frozen=True)
-class Violations:
+class Violations(Batch):
     """Violating rollouts, with what they start from and contribute.
 
     Attributes:

@@ -72,7 +72,15 @@ def read_tracker(text: str) -> TrackerSettings | None:
         given[name] = value
     values = {"hits": hits, "window": window, **given}
     settings = TrackerSettings(**{name: _value(name, word) for name, word in values.items()})
-    _check_together(settings, where)
+    if settings.hits > settings.window:
+        message = f"{where}: {settings.hits} hits of {settings.window} outcomes: must be no more"
+        raise ConfigError(message)
+    check_stable(ALPHA if settings.alpha is None else settings.alpha, settings.beta)
+    of_others = {name for names in OF_FILTER.values() for name in names}
+    for name in given:
+        if name in of_others - {*OF_FILTER[settings.filter]}:
+            option = name.replace("_", "-")
+            raise ConfigError(f"{where}: {option} is no option of filter {settings.filter}")
     return settings
 
 
@@ -93,19 +101,6 @@ def _value(name: str, word: str) -> Any:
     return check_value(
         name=f"tracker: {name.replace('_', '-')}", value=value, annotation=annotation
     )
-
-
-def _check_together(settings: TrackerSettings, where: str) -> None:
-    if settings.hits > settings.window:
-        message = f"{where}: {settings.hits} hits of {settings.window} outcomes: must be no more"
-        raise ConfigError(message)
-    check_stable(ALPHA if settings.alpha is None else settings.alpha, settings.beta)
-    for names in OF_FILTER.values():
-        for name in names:
-            if getattr(settings, name) is not None and name not in OF_FILTER[settings.filter]:
-                raise ConfigError(
-                    f"{where}: {name.replace('_', '-')} is no option of filter {settings.filter}"
-                )
 
 
 def check_stable(alpha: float, beta: float | None) -> None:

@@ -25,8 +25,7 @@ from pemviz.config.tracker_text import (
 from pemviz.errors import ConfigError
 from pemviz.pem import shipped_position_errors
 from pemviz.runs.back_ends import build_back_end, check_method_fits
-from pemviz.runs.experiment import build_simulator
-from pemviz.simulators.registry import build_encounter_simulator
+from pemviz.simulators.registry import build_encounter_simulator, build_named_simulator
 from pemviz.types import Simulator
 
 SIDES = ("left", "right")
@@ -136,7 +135,7 @@ def plain_simulator(config: ExperimentConfig) -> Simulator:
     """The scenario whose signals a specification is about."""
     plain = replace(config, rules=(), simulator=DRAWN_BACK_END)
     if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
-        return build_simulator(plain)
+        return build_named_simulator(plain.simulator, plain.scenario, carla=plain.carla)
     return cast(Simulator, build_encounter_simulator(plain))
 
 

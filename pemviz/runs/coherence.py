@@ -21,7 +21,7 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import BROKEN, COLUMN, LATENTS, ROLLOUTS_FILE, log_weights
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
-from pemviz.sampling.kept import KeptRepetition, KeptStage, Recounted, log_of
+from pemviz.sampling.kept import KeptRepetition, KeptStage, log_of
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
@@ -207,7 +207,8 @@ def _contradictions(arrays: Mapping[str, AnyArray], result: RunResult) -> Iterat
     with np.errstate(all="ignore"):  # numbers of an edited file may be beyond all bounds
         every = [recounted(one) for one in kept]
     for number, (said, one) in enumerate(zip(result.repetitions, every, strict=True)):
-        yield from _recounted_differences(f"repetitions[{number}]", said, one)
+        name, among = f"repetitions[{number}]", one.names
+        yield from _differences(name, said, one.estimate, source=ROLLOUTS_FILE, among=among)
     for number, rule in enumerate(result.rules):
         with np.errstate(all="ignore"):
             under = [
@@ -215,13 +216,8 @@ def _contradictions(arrays: Mapping[str, AnyArray], result: RunResult) -> Iterat
                 for one, some in zip(kept, broken, strict=True)
             ]
             estimate = summarise_repetitions([one.estimate for one in under])
-        of_all = Recounted(estimate, under[0].names)
-        yield from _recounted_differences(f"rules[{number}].estimate", rule.estimate, of_all)
-
-
-def _recounted_differences(name: str, said: Estimate, found: Recounted) -> Iterator[str]:
-    among = found.names
-    return _differences(name, said, found.estimate, source=ROLLOUTS_FILE, among=among)
+        name, among = f"rules[{number}].estimate", under[0].names
+        yield from _differences(name, rule.estimate, estimate, source=ROLLOUTS_FILE, among=among)
 
 
 def _columns(arrays: Mapping[str, AnyArray]) -> dict[str, AnyArray]:

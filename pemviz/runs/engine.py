@@ -321,10 +321,8 @@ def versions() -> dict[str, str]:
     """Versions of pemviz and of what its results may depend on, by package."""
     by_package = {"pemviz": __version__}
     for name in VERSIONED:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             by_package[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return by_package
 
 

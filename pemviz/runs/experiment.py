@@ -33,7 +33,6 @@ from pemviz.sampling.zero_variance.method import require_unsafe
 from pemviz.simulators.check import latent_warnings
 from pemviz.simulators.episodic import EpisodicSimulator
 from pemviz.simulators.latents import LatentSimulator
-from pemviz.simulators.registry import build_named_simulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator
 
@@ -270,15 +269,6 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
         f"probabilities do; taken as logits they mean that {expit(low):.0%} to {expit(high):.0%} "
         "are detected",
     )
-
-
-def build_simulator(config: ExperimentConfig) -> Simulator:
-    """The back end that ``config`` names.
-
-    Raises:
-        ConfigError: There is none of that name.
-    """
-    return build_named_simulator(config.simulator, config.scenario, carla=config.carla)
 
 
 def build_method(config: ExperimentConfig, *, back_end: BackEnd | None = None) -> Method[Any]:

@@ -342,22 +342,11 @@ def _with_starts(
         log_part = own.log_part if pooled is None else pooled[first + stage.rollout]
         parts.append(replace(own, log_part=log_part + stage.log_stands_for - math.log(of)))
         first += stage.rollouts
-    starts = (*interpreted.starts, _joined(parts))
+    starts = (*interpreted.starts, Violations.concatenate(parts))
     simulator, result = _starts_simulator(experiment), interpreted.result
     if simulator is not None:
-        every = _joined(starts)
+        every = Violations.concatenate(starts)
         every = replace(every, log_part=every.log_part - math.log(len(starts)))
         rules = [rule.name for rule in experiment.config.rules]
         result = replace(result, starts=dangerous_starts(simulator, every, rules=rules))
     return replace(interpreted, result=result, stage_starts=(), starts=starts)
-
-
-def _joined(parts: Sequence[Violations]) -> Violations:
-    return Violations(
-        latents=np.concatenate([part.latents for part in parts]),
-        log_part=np.concatenate([part.log_part for part in parts]),
-        place=np.concatenate([part.place for part in parts]),
-        broken={
-            name: np.concatenate([part.broken[name] for part in parts]) for name in parts[0].broken
-        },
-    )

@@ -53,16 +53,10 @@ LOGITS = {"log_p": "pem_logit", "log_q": "proposal_logit"}
 """Likelihoods of a stage's file are computed from these when they are read."""
 
 
-def stage_arrays(stage: StageResult, signals: Sequence[Signal]) -> dict[str, AnyArray]:
-    """A stage's rollouts under the keys of ``rollouts.npz``."""
-    rollouts = stage.scored.rollouts
-    likelihoods = {"log_p": rollouts.log_p, "log_q": rollouts.log_q}
-    return _stage_columns(stage, signals, likelihoods)
-
-
-def _stage_columns(
-    stage: StageResult, signals: Sequence[Signal], likelihoods: Mapping[str, FloatArray]
+def stage_arrays(
+    stage: StageResult, signals: Sequence[Signal], *, likelihoods: bool = True
 ) -> dict[str, AnyArray]:
+    """A stage's rollouts under the keys of ``rollouts.npz``, with their likelihoods or without."""
     scored, rollouts, latents = stage.scored, stage.scored.rollouts, stage.scored.rollouts.latents
     kept: dict[str, AnyArray | None] = {}
     if latents is not None:
@@ -74,7 +68,7 @@ def _stage_columns(
         "stage": np.full(rollouts.count, stage.stage, dtype=np.int64),
         **{signal.key: rollouts.signals[signal.name] for signal in signals},
         "detected": rollouts.detected,
-        **likelihoods,
+        **({"log_p": rollouts.log_p, "log_q": rollouts.log_q} if likelihoods else {}),
         **{f"{LATENTS}{name}": values for name, values in kept.items() if values is not None},
         "robustness": scored.robustness,
         "violated": scored.violated,
@@ -135,7 +129,7 @@ def part_arrays(
         arrays |= {ROLLOUT: number, DRAWN: np.array(stage.count)}
         return arrays if stage.drawn is None else arrays | drawn_arrays(stage.drawn)
     rollouts = stage.scored.rollouts
-    arrays = _stage_columns(stage, signals, {})
+    arrays = stage_arrays(stage, signals, likelihoods=False)
     arrays["pem_logit"] = rollouts.pem_logit
     arrays["proposal_logit"] = rollouts.proposal_logit
     for name, values in rollouts.memory.items():

@@ -1,18 +1,16 @@
 """How rollouts are judged: the specification or its rules, and the metric that ranks them."""
 
 import re
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 
 from pemviz import stl
-from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.folding import Folding, StepMonitor, declared_signals, folding_of
+from pemviz.sampling.folding import Signals, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
 from pemviz.sampling.rollouts.batches import CompiledRunner
 from pemviz.sampling.rollouts.simulate import replay
@@ -31,12 +29,15 @@ def build_problem(
     metric, folding = build_metric(config, simulator), folding_of(simulator)
     turns = 1 if folding is None else folding.turns
 
+    def in_steps(signals: Signals) -> Signals:
+        return signals if folding is None else folding.signals(signals)
+
     def scored(rule: stl.Formula) -> ScoredRule:
         by_score = isinstance(metric, stl.Classical) and stl.ties_hold(rule)
         monitor = stl.FormulaMonitor(rule)
         return ScoredRule(
-            robustness=partial(_robustness, rule, metric, folding),
-            violated=None if by_score else partial(_violated, rule, folding),
+            robustness=lambda signals: stl.robustness(rule, in_steps(signals), metric),
+            violated=None if by_score else lambda signals: stl.violated(rule, in_steps(signals)),
             monitor=monitor if folding is None else StepMonitor(monitor, turns),
         )
 
@@ -58,27 +59,6 @@ def build_problem(
             for rule in config.rules
         },
     )
-
-
-def _robustness(
-    formula: stl.Formula,
-    metric: stl.Metric,
-    folding: Folding | None,
-    signals: Mapping[str, FloatArray],
-) -> FloatArray:
-    return stl.robustness(formula, _in_steps(signals, folding), metric)
-
-
-def _violated(
-    formula: stl.Formula, folding: Folding | None, signals: Mapping[str, FloatArray]
-) -> BoolArray:
-    return stl.violated(formula, _in_steps(signals, folding))
-
-
-def _in_steps(
-    signals: Mapping[str, FloatArray], folding: Folding | None
-) -> Mapping[str, FloatArray]:
-    return signals if folding is None else folding.signals(signals)
 
 
 def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula:

@@ -3,7 +3,6 @@
 import io
 import json
 import random
-from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -16,9 +15,9 @@ from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.detections import DetectionFormat
 from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, SalientTable, load_table
-from pemviz.runs.experiment import build_simulator
 from pemviz.runs.specification import build_formula, build_metric
 from pemviz.sampling.rollouts.simulate import replay
+from pemviz.simulators.registry import build_named_simulator
 from pemviz.stl import parse
 from tests.fuzz.harness import Case, Target
 from tests.fuzz.mutate import WORDS, as_json, damage_bytes, damage_text, damage_tree, text_bytes
@@ -52,7 +51,7 @@ def read_config(case: Case) -> None:
     copy.write_text(config_text(config), encoding="utf-8")
     assert load_config(copy) == config
     # one back end is as good as the other here, and highway-env takes a second to import
-    simulator = build_simulator(replace(config, simulator="vectorized"))
+    simulator = build_named_simulator("vectorized", config.scenario)
     build_formula(config, simulator)
     if config.pem != "ml-nn":
         ensemble_of(config.pem)

@@ -4,6 +4,8 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from functools import reduce
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -68,35 +70,26 @@ def edit_rollouts(run, **changes):
     np.savez(path, **table)
 
 
-def lower_bound(document):
-    document["estimate"]["ci_high"] /= 100
+def at(*path, change, sealed=False):
+    """Change what stands somewhere in the document."""
+
+    def edited(document):
+        *way, last = path
+        holder = reduce(getitem, way, document)
+        holder[last] = change(holder[last])
+
+    return in_document(edited, sealed=sealed)
 
 
-def probability_alone(document):
-    document["estimate"]["probability"] /= 10
-
-
-def scale(estimate, factor):
-    for name in ("probability", "std_error", "ci_low", "ci_high"):
-        estimate[name] *= factor
-    estimate["log10_probability"] += math.log10(factor)
+def scaled(estimate, factor=0.5):
+    names = ("probability", "std_error", "ci_low", "ci_high")
+    log10 = estimate["log10_probability"] + math.log10(factor)
+    return {**estimate, **{n: estimate[n] * factor for n in names}, "log10_probability": log10}
 
 
 def all_consistently(document):
-    for estimate in (document["estimate"], *document["repetitions"]):
-        scale(estimate, 0.01)
-
-
-def one_repetition(document):
-    scale(document["repetitions"][1], 0.5)
-
-
-def a_rule(document):
-    scale(document["rules"][0]["estimate"], 0.5)
-
-
-def failures_of_a_stage(document):
-    document["stages"][2]["failures"] -= 1
+    document["estimate"] = scaled(document["estimate"], 0.01)
+    document["repetitions"] = [scaled(one, 0.01) for one in document["repetitions"]]
 
 
 def flip(values):
@@ -108,10 +101,6 @@ def flip(values):
 
 def shifted(values):
     return np.where(values < 0, values - 0.1, values)
-
-
-def bounds_of_refits(document):
-    document["pem_interval"]["high"] = document["pem_interval"]["low"] / 2
 
 
 def reference(document):
@@ -147,28 +136,34 @@ def downgraded(document):
     document["schema"] = 1
 
 
-def without_digest(document):
-    del document["digest"]
-
-
 def in_document(change, **how):
     return lambda run, _: edit(run, change, **how)
 
 
 EDITS = {
-    "bound": (in_document(lower_bound), "estimate.ci_high = ", "must be at least"),
-    "probability": (in_document(probability_alone), "estimate.probability", "estimate.ci_low = "),
+    "bound": (
+        at("estimate", "ci_high", change=lambda end: end / 100),
+        "estimate.ci_high = ", "must be at least"),
+    "probability": (
+        at("estimate", "probability", change=lambda p: p / 10),
+        "estimate.probability", "estimate.ci_low = "),
     "consistent": (in_document(all_consistently), "repetitions[0].probability = ", "npz give "),
     "consistent and sealed": (
         in_document(all_consistently, sealed=True), "repetitions[0].probability = ", "npz give "),
-    "repetition": (in_document(one_repetition), "estimate.", "repetitions give "),
-    "rule": (in_document(a_rule, sealed=True), "rules[0].estimate.probability = ", "npz give "),
-    "stage": (in_document(failures_of_a_stage, sealed=True), "stages[2].failures = ", "npz holds "),
-    "refits": (in_document(bounds_of_refits, sealed=True), "pem_interval.high", "pem_interval."),
+    "repetition": (at("repetitions", 1, change=scaled), "estimate.", "repetitions give "),
+    "rule": (
+        at("rules", 0, "estimate", change=scaled, sealed=True),
+        "rules[0].estimate.probability = ", "npz give "),
+    "stage": (
+        at("stages", 2, "failures", change=lambda count: count - 1, sealed=True),
+        "stages[2].failures = ", "npz holds "),
+    "refits": (
+        at("pem_interval", "high", change=lambda _: 0.0, sealed=True), "pem_interval.high",
+        "pem_interval."),
     "reference": (in_document(reference), "digest = ", "it was changed after it was written"),
     "older": (in_document(of_an_older_version), "repetitions[0].probability = ", "npz give "),
     "schema": (in_document(downgraded), "schema = 1", "must be 2"),
-    "digest": (in_document(without_digest), "digest", "must be a text"),
+    "digest": (in_document(lambda document: document.pop("digest")), "digest", "must be a text"),
     "verdict": (lambda run, _: edit_rollouts(run, violated=flip), "violated = False", "robustness"),
     "rule's verdict": (
         lambda run, _: edit_rollouts(run, **{"broken.near": flip}),
