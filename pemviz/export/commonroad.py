@@ -54,11 +54,8 @@ DECIMALS = 17
 def commonroad_bytes(rollout: RankedRollout) -> bytes:
     """The scenario's file.
 
-    Args:
-        rollout: Of the shipped scenario.
-
     Raises:
-        InputError: It is of another simulator.
+        InputError: The rollout is of another simulator.
     """
     motion = braking_motion(rollout, form="commonroad")
     name = ScenarioID(

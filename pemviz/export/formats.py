@@ -161,15 +161,10 @@ FORMATS: Mapping[Format, FileFormat] = {
 
 
 def check_place(out: Path, *, form: Format, force: bool) -> tuple[Path, ...]:
-    """Where a format's files go, if they may go there.
-
-    Args:
-        out: The first file.
-        form: The format.
-        force: Whether files that are there are replaced.
+    """Where a format's files go, ``out`` the first; ``force`` replaces those that are there.
 
     Raises:
-        InputError: They may not.
+        InputError: They may not go there.
     """
     first, *others = FORMATS[form].endings
     if out.suffix == "" or out.suffix in others:
@@ -190,12 +185,7 @@ def check_place(out: Path, *, form: Format, force: bool) -> tuple[Path, ...]:
 
 
 def write_rollout(rollout: RankedRollout, paths: tuple[Path, ...], *, form: Format) -> None:
-    """Write a rollout; each file is whole or not there.
-
-    Args:
-        rollout: Which.
-        paths: Of :func:`check_place`.
-        form: The format.
+    """Write a rollout to paths of :func:`check_place`; each file is whole or not there.
 
     Raises:
         InputError: The format cannot tell of this rollout, or a file cannot be written.

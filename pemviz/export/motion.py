@@ -30,14 +30,7 @@ ROAD_BEFORE_M, ROAD_BEYOND_M = 50.0, 100.0
 
 @dataclass(frozen=True)
 class CarMotion:
-    """A car along a rollout.
-
-    Attributes:
-        name: ``ego`` or ``lead``.
-        length_m: Of the car.
-        rear_m: ``[T]`` where its rear bumper is along the road [m].
-        speed_mps: ``[T]`` its speed [m/s].
-    """
+    """The ego or the lead car along a rollout: its rear bumper ``[T]`` [m], its speed ``[T]``."""
 
     name: str
     length_m: float
@@ -46,7 +39,7 @@ class CarMotion:
 
     @property
     def centre_m(self) -> FloatArray:
-        """``[T]`` where its middle is [m]."""
+        """Where its middle is ``[T]`` [m]."""
         return self.rear_m + self.length_m / 2
 
 
@@ -85,11 +78,7 @@ class BrakingMotion:
 
 
 def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
-    """The cars of a rollout of the shipped scenario.
-
-    Args:
-        rollout: Which.
-        form: The format that asks, for messages.
+    """The cars of a rollout of the shipped scenario, for a format that messages name.
 
     Raises:
         InputError: It is of another simulator, or its signals are not that scenario's.

@@ -44,14 +44,10 @@ EGO, LEAD = "Ego", "Lead"
 
 
 def openscenario_files(rollout: RankedRollout, *, road_file: str) -> tuple[bytes, bytes]:
-    """The scenario, and the road that it names.
-
-    Args:
-        rollout: Of the shipped scenario.
-        road_file: The road's file, beside the scenario's.
+    """The scenario, and the road beside it that it names.
 
     Raises:
-        InputError: It is of another simulator.
+        InputError: The rollout is of another simulator.
     """
     motion = braking_motion(rollout, form="openscenario")
     ego, lead = _vehicle(motion.ego), _vehicle(motion.lead)

@@ -81,11 +81,7 @@ class RankedRollout:
 
 
 def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
-    """The rollout of a run folder that has a rank.
-
-    Args:
-        folder: The run folder, of a run that is done or not.
-        rank: From 1.
+    """The rollout with a rank, from 1, of a run folder, be the run done or not.
 
     Raises:
         InputError: There is no such rollout, or something in the folder is damaged.

@@ -81,24 +81,14 @@ class MeasurementNoise:
         return LatentCounts(start=count if lasts else 0, noise=count)
 
     def begin(self, count: int, start: FloatArray | None) -> dict[str, AnyArray]:
-        """What states remember of the noise at the start, arrays ``[count]``.
-
-        Args:
-            count: Number of rollouts N.
-            start: Their latents ``[N, 0 or M]``; ``None``: 0.
-        """
+        """What states remember of the noise at the start, for latents ``[count, 0 or M]`` or 0."""
         none = np.zeros(count)
         given = [] if start is None or not self.latents.start else [np.array(z) for z in start.T]
         lasting = dict(zip(self.memories, given or [none] * len(self.memories), strict=True))
         return _remembered(lasting, dict.fromkeys(self.memories, none))
 
     def renewed(self, states: StateBatch, noise: FloatArray | None) -> dict[str, AnyArray]:
-        """What the next states remember, which is the noise of the step that leads to them.
-
-        Args:
-            states: ``[N]``.
-            noise: Latents of the step ``[N, M]``; ``None``: 0.
-        """
+        """What the next states remember: the noise of the step, of latents ``[N, M]`` or 0."""
         first, lasting, forgetful = states.step == 0, {}, {}
         fresh = np.zeros((len(self.memories), *states.shape)) if noise is None else noise.T
         for (name, memory), new in zip(self.memories.items(), fresh, strict=True):

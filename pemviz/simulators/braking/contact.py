@@ -29,13 +29,7 @@ DRAWN_SIGNALS = frozenset({GAP, EGO_SPEED, LEAD_SPEED})
 
 @dataclass(frozen=True)
 class Contact:
-    """Where the cars first touch.
-
-    Attributes:
-        step: Index of the first state at which they do.
-        time_s: Its time [s].
-        impact_speed_mps: How fast the gap closed in the step before it [m/s].
-    """
+    """The first state at which the cars touch, and how fast the gap closed in the step to it."""
 
     step: int
     time_s: float
@@ -46,12 +40,7 @@ class Contact:
 
 
 def first_contact(gap_m: FloatArray, *, dt_s: float) -> Contact | None:
-    """Where the cars first touch; ``None`` if they never do.
-
-    Args:
-        gap_m: Camera to the rear of the lead car, ``[T]`` [m].
-        dt_s: Time step [s].
-    """
+    """Where the cars first touch, of gaps ``[T]`` [m]; ``None`` if they never do."""
     touching = np.flatnonzero(gap_m <= CAMERA_TO_BUMPER_M)
     if touching.size == 0:
         return None

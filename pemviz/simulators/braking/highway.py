@@ -71,11 +71,7 @@ class HighwaySimulator(BrakingScenario):
 
 
 def frames(config: ScenarioConfig, *, detected: BoolArray) -> Iterator[NDArray[np.uint8]]:
-    """Film a rollout with given outcomes; needs no display.
-
-    Args:
-        config: The scenario.
-        detected: Perception's outcomes ``[T-1]``.
+    """Film a rollout with outcomes ``[T-1]``; needs no display.
 
     Returns:
         T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue at

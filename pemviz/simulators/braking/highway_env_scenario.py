@@ -42,15 +42,7 @@ EGO_RGB, LEAD_RGB = rgb(EGO), rgb(LEAD)
 
 
 class BrakingState(NamedTuple):
-    """All that the future of a rollout depends on, besides perception's outcomes.
-
-    Attributes:
-        step: Index of the state in its rollout.
-        gap_m: Windscreen camera to the rear of the lead car [m].
-        ego_speed_mps: Ego's speed [m/s].
-        lead_speed_mps: Lead car's speed [m/s].
-        speed_error_integral_m: What the ego's speed controller remembers [m].
-    """
+    """All that the future of a rollout depends on, besides perception's outcomes."""
 
     step: int
     gap_m: float

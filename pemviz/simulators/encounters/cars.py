@@ -95,14 +95,9 @@ def decelerations(config: EncounterConfig, values: Values, *, time_s: float) -> 
 def headings(
     aside_m: FloatArray, next_m: FloatArray, speed_mps: FloatArray, before: FloatArray, dt_s: float
 ) -> FloatArray:
-    """Headings that bring cars to where their profile has them next, ``[K, N]`` [rad].
+    """Headings ``[K, N]`` [rad] that bring cars to where their profile has them a step later.
 
-    Args:
-        aside_m: Where they are, ``[K, N]`` [m].
-        next_m: Where they are to be a step later, likewise.
-        speed_mps: ``[K, N]`` [m/s].
-        before: Headings that cars keep which stand, ``[K, N]`` [rad].
-        dt_s: The step [s].
+    Cars that stand keep theirs.
     """
     moves = speed_mps > 0.0
     wanted = (next_m - aside_m) / np.where(moves, speed_mps * dt_s, 1.0)

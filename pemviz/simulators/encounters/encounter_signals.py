@@ -44,11 +44,8 @@ UNAVOIDABLE_S = -10.0
 class CarStates:
     """The other cars, and perhaps the ghost last, ``[K, ...]``.
 
-    Attributes:
-        gap_m: Bumper to bumper along the road [m].
-        aside_m: To the left of the ego [m].
-        speed_mps: [m/s].
-        heading_rad: Counterclockwise from the road [rad].
+    Gaps are from bumper to bumper along the road, offsets to the left of the ego, headings
+    counterclockwise from the road.
     """
 
     gap_m: FloatArray
@@ -147,11 +144,7 @@ def settled_distance(
 ) -> FloatArray:
     """Margin to the nearest car ahead in lane, if there was time to recover, ``[N]`` [m].
 
-    Args:
-        config: The encounter.
-        cars: The state's.
-        ego_mps: The ego's speed, ``[N]`` [m/s].
-        states_ahead: For how many states up to this one each car is the nearest, ``[K, N]``.
+    Each car is the nearest for so many states up to this one: ``states_ahead [K, N]``.
     """
     recovery_steps = int(np.floor(config.recovery_time_s / config.dt_s + 1e-9))
     counts, bound_m = states_ahead > recovery_steps, config.gap_bound_m

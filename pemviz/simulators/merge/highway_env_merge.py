@@ -109,11 +109,8 @@ def _safety_margin(ego_mps: float, cars: list[tuple[float, float, float]]) -> fl
     """Gap to the nearest car in front less the safe distance [m] (Maierhofer et al. 2020, R_G1).
 
     The safe distance is what the ego drives in its reaction time, and until it stands, less what
-    the car in front drives until it stands, both braking equally.
-
-    Args:
-        ego_mps: The ego's speed [m/s].
-        cars: Distance of centres along the road [m], to the left [m], and speed [m/s].
+    the car in front drives until it stands, both braking equally. Of each car there is the distance
+    of centres along the road, to the left, and its speed.
     """
     in_lane = [
         (along_m - merge.CAR_LENGTH_M, speed_mps)

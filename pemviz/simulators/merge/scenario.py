@@ -192,13 +192,9 @@ class MergeSimulator:
 def ego_action(
     tracked: BoolArray, position_m: FloatArray, speed_mps: FloatArray, ego_speed_mps: FloatArray
 ) -> IntArray:
-    """The environment's action ``[N]``.
+    """The environment's action ``[N]``, given whom it tracks ``[N, K]``.
 
-    Args:
-        tracked: ``[N, K]``.
-        position_m: Of the tracks: gap, and offset to the left, ``[N, K, 2]``.
-        speed_mps: How these change, ``[N, K, 2]``.
-        ego_speed_mps: ``[N]``.
+    A track's position is its gap and its offset to the left, ``[N, K, 2]``.
     """
     gap_m, aside_m = position_m[..., 0], position_m[..., 1]
     later_m = aside_m + ANTICIPATION_S * speed_mps[..., 1]

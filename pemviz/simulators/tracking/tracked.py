@@ -77,9 +77,8 @@ class TrackedSlots(TrackedSimulator):
 def tracked(simulator: Simulator | SlotSimulator, tracker: Tracker) -> TrackedSimulator:
     """A scenario that is told of confirmed tracks: its ``step`` gets them as ``detected``.
 
-    Args:
-        simulator: The scenario; with slots each has a track of its own.
-        tracker: Without positions, and of the scenario's time step.
+    With slots each has a track of its own. The tracker is one without positions, and of the
+    scenario's time step.
 
     Raises:
         ConfigError: The tracker is another's, or the scenario has memory of its names.
