@@ -73,13 +73,8 @@ def labels_needed(
 ) -> LabelsNeeded | None:
     """The smallest further sample that shows P(missed) <= ``bound``, with ``power``.
 
-    Args:
-        obstacles: Labelled already.
-        missed: The missed ones among them.
-        bound: What is to be shown; above 0.
-        assumed: The detector's P(missed), as far as one believes to know it.
-        confidence: Of the bound.
-        power: How likely the sample is to suffice, if the detector is as assumed.
+    Of ``obstacles`` labelled already ``missed`` are missed; ``bound`` is above 0, ``assumed`` the
+    detector's P(missed), as far as one believes to know it.
 
     Returns:
         ``None`` where even MOST_LABELS would not do: the detector misses too often.

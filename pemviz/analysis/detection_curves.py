@@ -64,8 +64,8 @@ def detection_curves(
     Args:
         simulator: Gives salient variables and the states' layout.
         pem: The perception error model.
-        proposal: The proposal.
-        gap_m: Ascending gaps ``[G]`` [m].
+        proposal: What rollouts are sampled from.
+        gap_m: Ascending ``[G]`` [m].
         rollouts: Whose states a proposal of more than the gap is averaged over; without any,
             all else is as in the initial state.
         rollout_weight: Weights ``[N]`` of the rollouts in that average; equal if ``None``.

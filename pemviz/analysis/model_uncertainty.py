@@ -264,7 +264,9 @@ def model_interval(repetitions: Sequence[MemberEstimates]) -> ModelInterval:
     log_mu = np.stack([estimates.log_mu for estimates in repetitions])
     pooled = MemberEstimates(
         names=repetitions[0].names,
-        log_mu=np.array([_log_mean_finite(column) for column in log_mu.T]),
+        log_mu=np.array(
+            [log_mean(column[np.isfinite(column)], of=column.size) for column in log_mu.T]
+        ),
         relative_std_error=repetitions[0].relative_std_error,
         effective_failures=np.sum([e.effective_failures for e in repetitions], axis=0),
     )
@@ -364,8 +366,3 @@ def extrapolation_warnings(
     salient = simulator.salient(checked.decision_states().signals)
     salient = own_salient(pem, salient)
     return support_check(salient, support=support, pem=own).warnings
-
-
-def _log_mean_finite(log_values: FloatArray) -> float:
-    finite = log_values[np.isfinite(log_values)]
-    return log_sum(finite) - math.log(log_values.size) if finite.size else -math.inf
