@@ -5,7 +5,6 @@ Every method, with a reliable and an unreliable estimate, in every place that sh
 
 import json
 import re
-import time
 from dataclasses import replace
 from functools import cache
 from html import unescape
@@ -15,7 +14,6 @@ import pytest
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.panel import compare_tab, headline, learning_tab, recordings_tab
-from pemviz.panel.controller import Controller
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.recording.sweep_overview import estimate_label
 from pemviz.reports.answer_words import rule_warnings, rules_table
@@ -35,6 +33,7 @@ from pemviz.sweep.plan import make_plan, parse_variation
 from pemviz.sweep.tables import csv_text, rows
 from pemviz.sweep.tables import summary_markdown as sweep_summary
 from pemviz.types import Diagnostic
+from tests.panel.conftest import ran
 from tests.reports.runs import estimate
 from tests.reports.runs import result as made_up
 
@@ -112,15 +111,8 @@ def test_an_interval_that_does_not_hold_is_dotted(method, reliable):
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
     """A run as the panel shows it; its answer is replaced by what a test needs."""
-    made = Controller(tmp_path_factory.mktemp("recordings"))
-    try:
-        made.start(ExperimentConfig(method="naive", final_rollouts=20))
-        while made.state.running:
-            time.sleep(0.05)
-    finally:
-        made.close()
-    assert made.state.run is not None
-    return made.state.run
+    config = ExperimentConfig(method="naive", final_rollouts=20)
+    return ran(tmp_path_factory.mktemp("recordings"), config).run
 
 
 @METHOD

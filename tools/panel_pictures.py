@@ -119,7 +119,7 @@ def close_notices(page: Page) -> None:
     notices = page.locator(".mantine-Notification-closeButton")
     page.wait_for_timeout(SETTLE_MS)
     while notices.count():
-        notices.first.click(force=True)  # the page may be too busy to hold still
+        notices.evaluate_all("all => all.forEach(one => one.click())")  # some close by themselves
         page.wait_for_timeout(SETTLE_MS)
 
 

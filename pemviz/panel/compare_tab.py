@@ -10,7 +10,15 @@ from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
 from pemviz.errors import InputError
 from pemviz.panel.browser import Browser
-from pemviz.panel.curve_chart import RUN_DASHES, Chart, Curves, Line, over_common, signal_label
+from pemviz.panel.curve_chart import (
+    RUN_DASHES,
+    Chart,
+    Curves,
+    Line,
+    over_common,
+    over_time,
+    signal_label,
+)
 from pemviz.panel.page import cell, number, page, progress_words, quiet, wide
 from pemviz.panel.ranking import METRIC_NAMES, Ranking, elites, is_scored, rank, row, scoring
 from pemviz.panel.run_data import RunData, ScanProgress
@@ -20,7 +28,6 @@ from pemviz.reports.estimate_words import interval_text, probability_text
 from pemviz.reports.html import blocks_html, heading, warning
 from pemviz.runs.reading import flat_settings
 from pemviz.runs.uncertainty import run_interval_caveats
-from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}
 LETTERS = "ABCDEF"
@@ -114,11 +121,8 @@ def _metric_curves(run: RunData) -> Curves:
         )
         for place, (metric, ranking) in enumerate(_rankings(run)[0].items())
     ]
-    if run.own is None:
-        touch = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
-        lines.append(Line("bumpers touch [m]", touch, VERMILLION, width=1.0))
     title = f"Each metric's least robust of {run.kept:,} rollouts (one line: the same)"
-    return Curves(title, run.time_s, "time [s]", charted, tuple(lines))
+    return over_time(run, title, lines, touch_color=VERMILLION)
 
 
 def runs_page(runs: Sequence[RunData]) -> str:

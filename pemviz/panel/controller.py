@@ -17,17 +17,8 @@ from pemviz.errors import InputError, PemvizError
 from pemviz.panel.loading import load_run
 from pemviz.panel.rollout_tables import thinned
 from pemviz.panel.run_data import ProposalCurve, RunData, own_scenario
+from pemviz.runs import events
 from pemviz.runs.engine import run as run_engine
-from pemviz.runs.events import (
-    Event,
-    Observer,
-    RepetitionDone,
-    RolloutsDone,
-    RunDone,
-    RunFailed,
-    RunStarted,
-    StageDone,
-)
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
@@ -79,7 +70,7 @@ class Watcher:
         own: Simulator | SlotSimulator | None = None,
     ) -> None:
         """Prepare to ``publish`` every state of the run; ``own`` as of :class:`RunData`."""
-        self._started: RunStarted | None = None
+        self._started: events.RunStarted | None = None
         self._folder = folder
         self._own = own
         self._publish = publish
@@ -88,30 +79,30 @@ class Watcher:
         self.run: RunData | None = None
         self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0)
 
-    def notify(self, event: Event) -> None:
+    def notify(self, event: events.Event) -> None:
         """Publish what ``event`` adds."""
         match event:
-            case RunStarted():
+            case events.RunStarted():
                 self._start(event)
-            case RolloutsDone():
+            case events.RolloutsDone():
                 self.progress = replace(
                     self.progress,
                     repetition=event.repetition,
                     stage=event.stage,
                     done=self._done_before + event.done,
                 )
-            case StageDone():
+            case events.StageDone():
                 self._add_stage(event.stage, event.result)
-            case RepetitionDone() | RunDone() | RunFailed():
+            case events.RepetitionDone() | events.RunDone() | events.RunFailed():
                 if self.run is not None:
-                    going_on = isinstance(event, RepetitionDone)
+                    going_on = isinstance(event, events.RepetitionDone)
                     self.run = replace(self.run, result=event.result, running=going_on)
         elapsed_s = time.monotonic() - self._began_s
         self.progress = replace(self.progress, elapsed_s=elapsed_s)
         if self.run is not None:
             self._publish(self.run, self.progress)
 
-    def _start(self, event: RunStarted) -> None:
+    def _start(self, event: events.RunStarted) -> None:
         self._started = event
         gap_m, detection = np.empty(0), np.empty(0)
         if self._own is None and any(signal.name == GAP for signal in event.signals):
@@ -151,7 +142,7 @@ class Watcher:
         )
 
     def _curve(
-        self, stage: StageResult, started: RunStarted, gap_m: FloatArray
+        self, stage: StageResult, started: events.RunStarted, gap_m: FloatArray
     ) -> tuple[ProposalCurve, ...]:
         if not gap_m.size or (stage.kind == "final" and stage.stage > 0):
             return ()
@@ -189,7 +180,10 @@ class Controller:
     """Runs one experiment at a time; every public method returns at once, from any thread."""
 
     def __init__(
-        self, recordings: Path, *, observers: Callable[[Path], Sequence[Observer]] | None = None
+        self,
+        recordings: Path,
+        *,
+        observers: Callable[[Path], Sequence[events.Observer]] | None = None,
     ) -> None:
         """Start the worker; ``observers`` gives a run folder's observers, e.g. a recorder."""
         self.recordings = recordings

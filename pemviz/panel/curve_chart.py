@@ -1,5 +1,6 @@
 """Lines over one axis, in a chart whose values are read off with the pointer (uPlot in viser)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,8 @@ from viser import GuiUplotHandle, uplot
 
 from pemviz.arrays import FloatArray
 from pemviz.panel.browser import Browser
+from pemviz.panel.run_data import RunData
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.types import Signal
 
 RUN_DASHES = ((), (6, 3), (2, 3), (9, 3, 2, 3), (12, 4), (4, 4))
@@ -56,6 +59,15 @@ def over_common(x: FloatArray, own_x: FloatArray, y: FloatArray) -> FloatArray:
     if not np.any(known):
         return np.full(x.size, np.nan)
     return np.interp(x, own_x[known], y[known], left=np.nan, right=np.nan)
+
+
+def over_time(run: RunData, title: str, lines: Sequence[Line], *, touch_color: str) -> Curves:
+    """The charted signal of rollouts against time, and where bumpers touch, if that is told."""
+    touch: list[Line] = []
+    if run.own is None:
+        values = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
+        touch = [Line("bumpers touch [m]", values, touch_color, width=1.0)]
+    return Curves(title, run.time_s, "time [s]", signal_label(run.charted), (*lines, *touch))
 
 
 class Chart:

@@ -55,11 +55,7 @@ class LoadedRuns:
             InputError: Something in it is absent or damaged.
         """
         with self._lock:
-            try:
-                key = (folder, (folder / RESULT_FILE).stat().st_mtime_ns)
-            except OSError as error:
-                message = f"run {folder}: cannot be read ({error.strerror or error})"
-                raise InputError(message) from error
+            key = _state_of(folder)
             run = self._runs.get(key)
             if run is None:
                 self._runs[key] = run = load_run(folder)
@@ -69,15 +65,21 @@ class LoadedRuns:
         """What a look at all of a large run's files finds wrong; it takes some seconds a run."""
         with self._looking:
             try:
-                changed_ns = (folder / RESULT_FILE).stat().st_mtime_ns
-                if (folder, changed_ns) not in self._looked_at:
+                if (key := _state_of(folder)) not in self._looked_at:
                     read_whole_run(folder)
-                    self._looked_at.add((folder, changed_ns))
-            except OSError as error:
-                return InputError(f"run {folder}: cannot be read ({error.strerror or error})")
+                    self._looked_at.add(key)
             except InputError as error:
                 return error
         return None
+
+
+def _state_of(folder: Path) -> tuple[Path, int]:
+    """A run's folder, and when its result was last changed."""
+    try:
+        return folder, (folder / RESULT_FILE).stat().st_mtime_ns
+    except OSError as error:
+        message = f"run {folder}: cannot be read ({error.strerror or error})"
+        raise InputError(message) from error
 
 
 def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:

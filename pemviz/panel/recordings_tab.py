@@ -168,7 +168,8 @@ class RecordingsTab:
 
         def read() -> RunData:
             run = hub.loaded.get(folder)
-            run.weigh()
+            if run.parts:
+                _ = run.log_weight  # so that what follows needs no wait
             return run
 
         def show(run: RunData) -> None:

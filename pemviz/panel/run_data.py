@@ -262,15 +262,6 @@ class RunData:
         """
         return self.scans.value("log weight", self._log_weight)
 
-    def weigh(self) -> None:
-        """Have log weights computed, if there are rollouts: what follows needs no wait.
-
-        Raises:
-            InputError: As :meth:`steps`.
-        """
-        if self.parts:
-            _ = self.log_weight
-
     def _log_weight(self, report: Report) -> FloatArray:
         if not self.mapped:
             return log_weights(self.rollouts)

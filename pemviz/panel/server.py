@@ -13,7 +13,6 @@ from urllib.parse import urlsplit
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
-from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from pemviz.errors import InputError
@@ -157,7 +156,7 @@ def _guarding(
         def process(connection: ServerConnection, request: Request) -> Any:
             reason = refusal(request, hosts=hosts)
             if reason is not None:
-                return text_response(http.HTTPStatus.FORBIDDEN, reason)
+                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
             return inner(connection, request)
 
         options.update(process_request=process, process_response=add_headers)
@@ -177,16 +176,3 @@ def add_headers(connection: ServerConnection, request: Request, response: Respon
     """Tell the browser that no page may frame this one, nor guess what a file is."""
     for name, value in HEADERS.items():
         response.headers[name] = value
-
-
-def text_response(status: http.HTTPStatus, text: str) -> Response:
-    """A short plain answer."""
-    body = f"{text}\n".encode()
-    headers = Headers(
-        [
-            ("Content-Type", "text/plain; charset=utf-8"),
-            ("Content-Length", str(len(body))),
-            ("Connection", "close"),
-        ]
-    )
-    return Response(status.value, status.phrase, headers, body)

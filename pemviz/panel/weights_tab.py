@@ -9,14 +9,7 @@ from pemviz.arrays import FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
 from pemviz.panel.browser import Browser, Window, element_id
-from pemviz.panel.curve_chart import (
-    RUN_DASHES,
-    Chart,
-    Curves,
-    Line,
-    signal_label,
-    signal_name,
-)
+from pemviz.panel.curve_chart import RUN_DASHES, Chart, Curves, Line, over_time, signal_name
 from pemviz.panel.page import cell, number, page, percent, progress_words, quiet, wide
 from pemviz.panel.ranking import shares
 from pemviz.panel.rollout_tables import in_final_stages
@@ -179,28 +172,19 @@ def _heaviest_curves(run: RunData) -> Curves | None:
     heaviest = heaviest[share[heaviest] > 0.0]
     if not heaviest.size:
         return None
-    charted = run.charted
-    unit = f" [{charted.unit}]" if charted.unit else ""
+    unit = f" [{run.charted.unit}]" if run.charted.unit else ""
     lines = [
         Line(
             f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))}){unit}",
-            run.signals(index)[charted.name][0],
+            run.signals(index)[run.charted.name][0],
             RUN_COLORS[place],
             dash=RUN_DASHES[place],
         )
         for place, index in enumerate(heaviest.tolist())
     ]
-    if run.own is None:
-        touch = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
-        lines.append(Line("bumpers touch [m]", touch, BLACK, width=1.0))
-    return Curves(
-        title=f"{signal_name(charted).capitalize()} of the rollouts that contribute most (share of "
-        "the answer)",
-        x=run.time_s,
-        x_label="time [s]",
-        y_label=signal_label(charted),
-        lines=tuple(lines),
-    )
+    name = signal_name(run.charted).capitalize()
+    title = f"{name} of the rollouts that contribute most (share of the answer)"
+    return over_time(run, title, lines, touch_color=BLACK)
 
 
 @dataclass(frozen=True, eq=False)

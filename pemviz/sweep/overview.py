@@ -14,7 +14,7 @@ from pemviz.recording.sweep_overview import (
     write_sweep_overview,
 )
 from pemviz.reports.escape import markdown_block, markdown_table, markdown_text
-from pemviz.reports.estimate_words import interval_text, level_text
+from pemviz.reports.estimate_words import interval_text, level_text, number_text
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import Plan, setting_label, value_text
@@ -59,17 +59,12 @@ def _estimate(state: RunState) -> SweepEstimate:
         return SweepEstimate(seed, None, note=state.message or state.status)
     if estimate.log10_probability is None:
         return SweepEstimate(seed, None, note="no violation seen")
-    return SweepEstimate(
-        seed,
-        estimate.log10_probability,
-        log10_ci_low=_log10(estimate.ci_low),
-        log10_ci_high=_log10(estimate.ci_high),
-        caveats=interval_caveats(estimate),
+    low, high = (
+        math.log10(end) if end is not None and end > 0.0 else None
+        for end in (estimate.ci_low, estimate.ci_high)
     )
-
-
-def _log10(value: float | None) -> float | None:
-    return None if value is None or value <= 0.0 else math.log10(value)
+    caveats = interval_caveats(estimate)
+    return SweepEstimate(seed, estimate.log10_probability, low, high, caveats=caveats)
 
 
 def _runs_page(plan: Plan, states: Sequence[RunState]) -> str:
@@ -91,16 +86,12 @@ def _run_row(state: RunState) -> tuple[str, ...]:
     level = "" if caveats or estimate.ci_high is None else f" ({level_text(estimate)})"
     return (
         *map(markdown_text, head),
-        _short(estimate.probability),
+        number_text(estimate.probability),
         markdown_text(f"{interval}{level}"),
         str(estimate.failures),
-        _short(estimate.ess),
+        number_text(estimate.ess),
         status,
     )
-
-
-def _short(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
 
 
 def _settings_page(plan: Plan, base: ExperimentConfig) -> str:

@@ -64,11 +64,6 @@ def warned(page):
     return page.locator("div[role=alert]", has_text="\N{WARNING SIGN}")
 
 
-def legend(page, words):
-    """Words drawn in a plot; tips of lines hold the same words, unseen."""
-    return page.locator("svg text", has_text=words).first
-
-
 def selected(page):
     row = page.locator("table[aria-label=Ranking] tr[aria-selected=true]")
     return int(row.get_attribute("data-rank"))

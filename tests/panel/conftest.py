@@ -1,4 +1,5 @@
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,23 +29,24 @@ def wait_until(controller: Controller, done=lambda state: not state.running, *, 
 
 @pytest.fixture
 def controller(tmp_path):
-    made = Controller(tmp_path / "recordings")
-    yield made
-    made.close()
+    with closing(Controller(tmp_path / "recordings")) as made:
+        yield made
+
+
+def ran(root: Path, config: ExperimentConfig) -> PanelState:
+    """The panel's last state of a run that is over."""
+    with closing(Controller(root)) as made:
+        assert made.start(config)
+        state = wait_until(made)
+    assert state.error is None
+    assert state.run is not None
+    return state
 
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory) -> tuple[Path, PanelState]:
     """A small adaptive run that is over: its folder, and the panel's last state of it."""
-    made = Controller(tmp_path_factory.mktemp("recordings"))
-    try:
-        assert made.start(SMALL)
-        state = wait_until(made)
-    finally:
-        made.close()
-    assert state.error is None
-    assert state.run is not None
-    assert state.run.folder is not None
+    state = ran(tmp_path_factory.mktemp("recordings"), SMALL)
     return state.run.folder, state
 
 
@@ -61,11 +63,4 @@ def loaded_run(kept) -> RunData:
 @pytest.fixture(scope="session")
 def naive_run(tmp_path_factory) -> RunData:
     """Most of its rollouts violate."""
-    made = Controller(tmp_path_factory.mktemp("recordings"))
-    try:
-        made.start(NAIVE)
-        state = wait_until(made)
-    finally:
-        made.close()
-    assert state.run is not None
-    return state.run
+    return ran(tmp_path_factory.mktemp("recordings"), NAIVE).run

@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 
 from pemviz.panel.controller import Controller
@@ -83,12 +84,9 @@ def test_bad_input_is_told_and_the_worker_lives_on(controller):
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "recordings").write_text("a file, not a folder")
-    controller = Controller(tmp_path / "recordings")
-    try:
+    with closing(Controller(tmp_path / "recordings")) as controller:
         controller.start(NAIVE)
         assert wait_until(controller).error.startswith("recordings = ")
-    finally:
-        controller.close()
 
 
 def test_a_failing_observer_fails_the_run_only(tmp_path):
@@ -96,12 +94,9 @@ def test_a_failing_observer_fails_the_run_only(tmp_path):
         def notify(self, event):
             raise RuntimeError("no ink")
 
-    controller = Controller(tmp_path, observers=lambda folder: [Failing()])
-    try:
+    with closing(Controller(tmp_path, observers=lambda folder: [Failing()])) as controller:
         controller.start(NAIVE)
         assert wait_until(controller).error == "the run failed: RuntimeError: no ink"
-    finally:
-        controller.close()
 
 
 def test_a_quick_look_leaves_nothing_on_disk(controller):

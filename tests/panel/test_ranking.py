@@ -166,10 +166,6 @@ def test_splitting_weighs_failures_by_their_runs_estimates(naive_run):
     assert failures.weight == pytest.approx(np.array([10 / 33, 10 / 33, 10 / 33, 1 / 11]))
 
 
-def test_default_config_has_every_metric():
-    assert ExperimentConfig().metric in METRICS
-
-
 def test_ranking_by_rule(controller):
     """Robustness of a rule is its own; what counts as violated and as a share is of that rule."""
     rules = {"gap": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 3.0)"}

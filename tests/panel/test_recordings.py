@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
-from pemviz.panel.recordings_folder import RecordingsFolder
+from pemviz.panel.recordings_folder import RecordingsFolder, Viewers
 from pemviz.panel.recordings_tab import recordings_table
 from pemviz.panel.rollout_tables import check_table
 from pemviz.runs.reading import read_result
@@ -87,26 +88,6 @@ def damage_table(run: Path):
     (run / "rollouts.npz").write_bytes(b"PK\x03\x04 nothing")
 
 
-def drop_key(run: Path):
-    with np.load(run / "rollouts.npz") as arrays:
-        table = {k: arrays[k] for k in arrays.files if k != "detected"}
-    np.savez(run / "rollouts.npz", **table)
-
-
-def wrong_shape(run: Path):
-    with np.load(run / "rollouts.npz") as arrays:
-        table = {k: arrays[k] for k in arrays.files}
-    table["gap_m"] = table["gap_m"][:, :-1]
-    np.savez(run / "rollouts.npz", **table)
-
-
-def pickled(run: Path):
-    with np.load(run / "rollouts.npz") as arrays:
-        table = {k: arrays[k] for k in arrays.files}
-    table["gap_m"] = np.array([{"a": 1}], dtype=object)
-    np.savez(run / "rollouts.npz", **table)
-
-
 def damage_proposals(run: Path):
     (run / "proposals.safetensors").write_bytes(b"\xff" * 64)
 
@@ -120,14 +101,22 @@ def other_config(run: Path):
     path.write_text(path.read_text().replace("seed = 5", "seed = 6", 1))
 
 
+def edit(run: Path, **changes):
+    """Change arrays of a run's rollouts; ``None`` takes one away."""
+    table = load_rollouts(run)
+    table |= {name: change(table[name]) for name, change in changes.items() if change}
+    gone = {name for name, change in changes.items() if change is None}
+    np.savez(run / "rollouts.npz", **{k: v for k, v in table.items() if k not in gone})
+
+
 @pytest.mark.parametrize(
     "damage",
     [
         damage_json,
         damage_table,
-        drop_key,
-        wrong_shape,
-        pickled,
+        lambda run: edit(run, detected=None),
+        lambda run: edit(run, gap_m=lambda values: values[:, :-1]),
+        lambda run: edit(run, gap_m=lambda values: np.array([{"a": 1}], dtype=object)),
         damage_proposals,
         no_config,
         other_config,
@@ -139,14 +128,6 @@ def test_damage_is_one_line(folder, damage):
     with pytest.raises(InputError) as caught:
         load_run(run)
     assert "\n" not in str(caught.value)
-
-
-def edit(run: Path, **changes):
-    with np.load(run / "rollouts.npz") as arrays:
-        table = {k: arrays[k] for k in arrays.files}
-    for name, change in changes.items():
-        table[name] = change(table[name])
-    np.savez(run / "rollouts.npz", **table)
 
 
 def first_is(value):
@@ -297,3 +278,24 @@ def test_browsers_share_a_loaded_run_until_it_changes(folder):
     assert runs.get(run) is not first
     with pytest.raises(InputError, match="cannot be read"):
         runs.get(folder.root / "absent")
+
+
+def test_a_viewer_is_opened_once_and_the_oldest_is_closed():
+    opened, closed = [], []
+
+    @contextmanager
+    def viewer(path):
+        opened.append(path)
+        yield f"http://127.0.0.1/{path}"
+        closed.append(path)
+
+    viewers = Viewers(viewer, limit=2)
+    one, two, three = Path("1"), Path("2"), Path("3")
+    assert viewers.open(one) == viewers.open(one) == "http://127.0.0.1/1"
+    assert opened == [one]
+    viewers.open(two)
+    viewers.open(three)
+    assert closed == [one]
+    viewers.close()
+    assert closed == [one, two, three]
+    assert viewers.open(one) == "http://127.0.0.1/1"

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.config import StartChoice
-from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError
 from pemviz.latents import Latents
 from pemviz.panel import loading
 from pemviz.panel.compare_tab import metric_curves, metrics_page
 from pemviz.panel.controller import Watcher
-from pemviz.panel.experiment_controls import check_back_end, plain_simulator
-from pemviz.panel.experiment_tab import scenario_text
 from pemviz.panel.learning_tab import learning
 from pemviz.panel.ranking import rank, row
 from pemviz.panel.rollout_player import step_words, track, track_plots, with_cursor
@@ -172,16 +168,3 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     page = details(with_latents, entry)
     assert "Standard normals at its start: 0.5." in page
     assert "Standard normals of its steps" in page
-
-
-def test_the_experiment_tab_says_of_a_logical_scenario_what_it_draws_and_what_it_refuses():
-    config = load_preset("cut-in")
-    page = scenario_text(replace(config, start=(StartChoice("gap", "uniform(9, 10)"),)))
-    assert "a car cuts in ahead of the ego" in page
-    assert "uniform(9, 10)" in page
-    assert {s.name for s in plain_simulator(config).signals} >= {"clearance", "gap_lead"}
-    check_back_end(config)
-    with pytest.raises(InputError, match=r"zero-variance.*has latents"):
-        check_back_end(replace(config, method="zero-variance"))
-    with pytest.raises(InputError, match="start"):
-        check_back_end(replace(config, start=(StartChoice("gap", "normal(1"),)))
