@@ -20,10 +20,7 @@ MINIMUM_TAIL = 5
 class WeightFigures:
     """How evenly the failing rollouts' weights are spread; ``None`` where undefined.
 
-    Attributes:
-        ess: See :func:`effective_sample_size`.
-        pareto_k: See :func:`pareto_k_hat`.
-        max_weight_share: See :func:`largest_share`.
+    See :func:`effective_sample_size`, :func:`pareto_k_hat` and :func:`largest_share`.
     """
 
     ess: float | None
@@ -96,9 +93,7 @@ def weight_figures(failing_log_weight: FloatArray) -> WeightFigures:
 def pareto_k_hat(log_weight: FloatArray) -> float | None:
     """Shape of the generalised Pareto fitted to the largest weights of ``[M]``.
 
-    Pareto smoothed importance sampling (Vehtari, Simpson, Gelman, Yao, Gabry 2024), see
-    :mod:`pemviz.sampling.estimates.importance_weights`. ``None`` where the tail
-    has fewer than five weights, no spread, or more spread than doubles hold.
+    ``None`` where the tail has fewer than five weights, no spread, or more than doubles hold.
     """
     tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
     if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:

@@ -108,12 +108,7 @@ def largest_part(*, states: int) -> int:
 
 @dataclass(frozen=True)
 class FinalBatch:
-    """How far the final batch is sampled; each part is a stage of its own.
-
-    Attributes:
-        sizes: Of the parts.
-        drawn: Their weights, as far as they are sampled.
-    """
+    """The parts' sizes, and weights as far as they are sampled; each is a stage of its own."""
 
     sizes: tuple[int, ...]
     drawn: tuple[WeighedRollouts, ...] = ()

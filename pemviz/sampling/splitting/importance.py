@@ -205,13 +205,7 @@ def _needed_on_end(
 
 @dataclass(frozen=True, eq=False)
 class _Prefixes:
-    """Rollouts up to M of their states, gone on with outcomes that are given.
-
-    Attributes:
-        rollouts: Whose prefixes they are.
-        row: Which rollout, ``[M]``.
-        step: To which of its states, ``[M]``, ascending.
-    """
+    """Rollouts ``row [M]`` up to their states ``step [M]``, ascending, gone on with outcomes."""
 
     rollouts: RolloutBatch
     row: IntArray

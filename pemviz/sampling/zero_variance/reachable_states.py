@@ -230,14 +230,10 @@ def explore(
 
 @dataclass(frozen=True)
 class _Walk:
-    """Steps from many states at once.
+    """Steps from many states at once; ``pause`` is called after every step of the twin.
 
-    Attributes:
-        twin: What steps them.
-        unsafe: What violates the specification.
-        pause: Called after every step of the twin.
-        bounded: Whether the twin's own bounds tell states that are followed no further.
-        certain: Which states are followed no further since they violate for certain.
+    States are followed no further where the twin's own bounds say so, if it is ``bounded``, and
+    where a violation is ``certain``.
     """
 
     twin: Simulator
@@ -299,15 +295,12 @@ def _graph(walk: _Walk, pem: DetectorModel, merger: Merger) -> StateGraph:
 
 @dataclass(frozen=True)
 class _Explored:
-    """All reachable states.
-
-    Attributes:
-        moves: By step, where a miss and a hit lead from every one, ``[2, n]`` int32.
-        kept: By step, the states ``[n]``; ``None`` where they are too many, or approximate.
-    """
+    """All reachable states."""
 
     moves: Sequence[AnyArray]
+    """By step, where a miss and a hit lead from every one, ``[2, n]`` int32."""
     kept: Sequence[StateBatch] | None
+    """By step, the states ``[n]``; ``None`` where they are too many, or approximate."""
 
 
 def _explored(walk: _Walk, start: StateBatch, merger: Merger) -> _Explored:
