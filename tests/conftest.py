@@ -17,7 +17,7 @@ settings.load_profile("repeatable")
 
 TESTS = Path(__file__).resolve().parent
 TOGETHER = {
-    *("browser", "panel", "recording", "reproduce", "sweep"),
+    *("browser", "panel", "recording", "reproduce", "studies", "sweep"),
     *(
         "test_every_method.py",
         "test_interpretation.py",

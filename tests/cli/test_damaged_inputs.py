@@ -90,6 +90,6 @@ def test_a_full_disk_is_told_in_one_line(capsys, monkeypatch):
 
 
 def _table():
-    from pemviz.pem.data.synthetic import synthetic_table  # noqa: PLC0415
+    from studies.synthetic_obstacles import synthetic_table  # noqa: PLC0415
 
     return synthetic_table(obstacles=60, seed=1)

@@ -14,7 +14,6 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
 from pemviz.pem import PemCard, load_pem, save_pem, save_table
 from pemviz.pem.data.support import summarise_support
-from pemviz.pem.data.synthetic import synthetic_table
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
@@ -24,6 +23,7 @@ from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result
 from pemviz.runs.store import RunStore
+from studies.synthetic_obstacles import synthetic_table
 from tests.toy import constant_pem
 
 FRAMES = ("000000", "000007")

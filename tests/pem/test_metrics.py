@@ -10,7 +10,6 @@ from sklearn.metrics import brier_score_loss, log_loss, roc_auc_score
 
 from pemviz.files.shipped import asset_path
 from pemviz.pem import PemError, fit_pem, load_table
-from pemviz.pem.data.synthetic import main, synthetic_table, true_logit
 from pemviz.pem.judging.cross_validation import (
     calibration_error,
     cross_validate,
@@ -19,6 +18,7 @@ from pemviz.pem.judging.cross_validation import (
     split_folds,
     write_report,
 )
+from studies.synthetic_obstacles import main, synthetic_table, true_logit
 from tests.pem.helpers import seeds
 
 

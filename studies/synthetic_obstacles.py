@@ -1,8 +1,8 @@
 """A made-up table of obstacles, to try fitting and evaluating without KITTI.
 
-``python -m pemviz.pem.data.synthetic OUT.csv`` writes it. Obstacles are sampled from laws with
-sizes and places typical of streets; the detector is a formula, `true_logit`, so that what a model
-should learn is known. Nothing in it comes from KITTI.
+``python -m studies.synthetic_obstacles OUT.csv`` writes it. Obstacles are sampled from simple laws
+with sizes and places typical of streets; the detector is a formula, `true_logit`, so that what a
+model should learn is known. Nothing in it comes from KITTI.
 """
 
 import sys
@@ -73,7 +73,7 @@ def _wrapped(angle_rad: FloatArray) -> FloatArray:
 def main(arguments: list[str]) -> int:
     """Write the table to the path given; gives the exit code."""
     if len(arguments) != 1:
-        print("usage: python -m pemviz.pem.data.synthetic OUT.csv", file=sys.stderr)
+        print("usage: python -m studies.synthetic_obstacles OUT.csv", file=sys.stderr)
         return 2
     save_table(synthetic_table(), Path(arguments[0]))
     return 0

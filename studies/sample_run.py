@@ -1,4 +1,4 @@
-"""Makes the sample run that ships with the project: ``python -m pemviz.reproduce.sample``.
+"""Makes the sample run that ships with the project: ``python -m studies.sample_run``.
 
 A small but complete run of the default method on the paper's scenario, so that a newcomer can
 open a recording before having made one.
@@ -19,7 +19,7 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import RESULT_FILE, write_result
 from pemviz.runs.store import RunStore
 
-TARGET = Path(__file__).resolve().parents[2] / "recordings" / "sample"
+TARGET = Path(__file__).resolve().parents[1] / "recordings" / "sample"
 RUN_ID = "sample"
 MOST_BYTES = 2_000_000
 

@@ -11,13 +11,13 @@ from safetensors.numpy import load_file
 from pemviz.config.toml_files import config_from_table, load_config
 from pemviz.errors import InputError
 from pemviz.files import shipped
-from pemviz.reproduce.sample import MOST_BYTES, folder_bytes, make_sample, sample_config
 from pemviz.runs.result_file import SCHEMA
 from pemviz.runs.rollout_files import load_rollouts
+from studies.sample_run import MOST_BYTES, folder_bytes, make_sample, sample_config
 from tests.recording.read_back import chunks
 
 ROOT = Path(__file__).resolve().parents[2]
-HOW = "run `python -m pemviz.reproduce.sample` and commit the result"
+HOW = "run `python -m studies.sample_run` and commit the result"
 
 
 @pytest.fixture(scope="module")
