@@ -68,15 +68,15 @@ def reference_rollout(
     target = config.initial_speed_kmh * 1000 / 3600
     gap, ego, lead, integral = config.initial_gap_m, target, target, 0.0
     track = {"gap": [gap], "ego_speed": [ego], "lead_speed": [lead], "integral": [integral]}
-    told = []
+    reported = []
     for step, is_detected in enumerate(detected):
         seen = is_detected
-        told.append(gap if measure is None else measure(step, gap))
+        reported.append(gap if measure is None else measure(step, gap))
         if follows is not None:
-            follows.update(is_detected, np.array([told[-1]]))
+            follows.update(is_detected, np.array([reported[-1]]))
             seen = follows.confirmed
-            told[-1] = float(follows.x[0, 0]) if seen else gap
-        if seen and told[-1] < config.emergency_gap_m:
+            reported[-1] = float(follows.x[0, 0]) if seen else gap
+        if seen and reported[-1] < config.emergency_gap_m:
             ego_acceleration = -config.emergency_deceleration_mps2
         else:
             error = target - ego
@@ -96,4 +96,4 @@ def reference_rollout(
         lead = max(0.0, lead + max(lead_acceleration, -lead / config.dt_s) * config.dt_s)
         for name, value in zip(track, (gap, ego, lead, integral), strict=True):
             track[name].append(value)
-    return {**track, "told": told}
+    return {**track, "reported": reported}

@@ -93,7 +93,7 @@ def cases(draw: st.DrawFn) -> Case:
     expected = {name: np.array([track[name] for track in tracks]) for name in tracks[0]}
     # "gap < emergency gap" is a jump: where the two are equal but for rounding, back ends that
     # add in another order may rightly decide differently, and part ways from there.
-    distance_m = np.abs(expected["told"] - config.emergency_gap_m)
+    distance_m = np.abs(expected["reported"] - config.emergency_gap_m)
     assume(float(distance_m.min()) > CLOSE_TO_THRESHOLD_M)
     return Case(config=config, detected=detected, expected=expected)
 

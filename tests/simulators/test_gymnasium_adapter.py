@@ -184,7 +184,7 @@ class Counting(Walk):
         return observation + 0.01 * max(self.steps - self.drifts_from, 0), *rest
 
 
-def asked_again(kept_steps, *, drifts_from=10**9, times=200):
+def stepped_again(kept_steps, *, drifts_from=10**9, times=200):
     """The environment's steps, and the gaps last seen: from seven states, six of them alike."""
     environment = Counting(drifts_from=drifts_from)
     simulator = adapter(environment, kept_steps=kept_steps)
@@ -196,16 +196,16 @@ def asked_again(kept_steps, *, drifts_from=10**9, times=200):
 
 
 def test_a_step_that_is_known_is_not_made_again():
-    every, expected = asked_again(0)
-    few, found = asked_again(100)
+    every, expected = stepped_again(0)
+    few, found = stepped_again(100)
     np.testing.assert_array_equal(found, expected)
     assert every == 7 * 201
     assert few == 2 + TRIED + 2  # two states by the first step, two more by those after it
-    assert asked_again(1)[0] > few
+    assert stepped_again(1)[0] > few
 
 
 def test_an_environment_that_drifts_is_not_remembered():
-    steps, gaps = asked_again(100, drifts_from=50)
+    steps, gaps = stepped_again(100, drifts_from=50)
     assert steps == 7 * 201
     assert np.unique(gaps).size == 7
 

@@ -47,26 +47,28 @@ class HighwaySimulator(BrakingScenario):
 
         scene = _scene(self.config, get_ident())
         reached: list[BrakingState] = []
-        told = self.perceived(states, detected, noise)
+        perceived = self.perceived(states, detected, noise)
         columns = (
             np.full(detected.shape, states.step),
             states.signals[GAP],
             states.signals[EGO_SPEED],
             states.signals[LEAD_SPEED],
             states.memory[SPEED_ERROR_INTEGRAL],
-            told.present,
-            told.gap_m,
+            perceived.present,
+            perceived.gap_m,
         )
-        for *state, present, told_m in zip(*(column.tolist() for column in columns), strict=True):
+        for *state, present, perceived_m in zip(
+            *(column.tolist() for column in columns), strict=True
+        ):
             scene.load(BrakingState(*state))
-            scene.move(present=present, gap_m=told_m)
+            scene.move(present=present, gap_m=perceived_m)
             reached.append(scene.state)
         table = np.array(reached, dtype=np.float64).reshape(-1, len(BrakingState._fields))
         _, gap_m, ego_mps, lead_mps, integral_m = table.T
         return StateBatch(
             step=states.step + 1,
             signals={GAP: gap_m, EGO_SPEED: ego_mps, LEAD_SPEED: lead_mps},
-            memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
+            memory={SPEED_ERROR_INTEGRAL: integral_m, **perceived.memory},
         )
 
 

@@ -46,8 +46,8 @@ class VectorizedSimulator(BrakingScenario):
         gap_m = lead_mps - ego_mps
         gap_m *= dt_s
         gap_m += states.signals[GAP]
-        told = self.perceived(states, detected, noise)
-        ego_mps2, integral_m = self._ego_acceleration(states, told)
+        perceived = self.perceived(states, detected, noise)
+        ego_mps2, integral_m = self._ego_acceleration(states, perceived)
         braking = states.step * dt_s >= config.lead_brake_time_s
         lead_mps2 = np.where(braking, -config.lead_deceleration_mps2, 0.0)
         return StateBatch(
@@ -57,7 +57,7 @@ class VectorizedSimulator(BrakingScenario):
                 EGO_SPEED: (ego_mps + ego_mps2 * dt_s).clip(0.0),
                 LEAD_SPEED: (lead_mps + lead_mps2 * dt_s).clip(0.0),
             },
-            memory={SPEED_ERROR_INTEGRAL: integral_m, **told.memory},
+            memory={SPEED_ERROR_INTEGRAL: integral_m, **perceived.memory},
         )
 
     def compiled_rollouts(
@@ -140,7 +140,7 @@ class VectorizedSimulator(BrakingScenario):
         return speed_mps * unbraked * dt_s + braked_m
 
     def _ego_acceleration(
-        self, states: StateBatch, told: Perceived
+        self, states: StateBatch, perceived: Perceived
     ) -> tuple[FloatArray, FloatArray]:
         """Commanded acceleration [m/s^2] and the speed error integral [m], both ``[N]``."""
         config = self.config
@@ -154,7 +154,7 @@ class VectorizedSimulator(BrakingScenario):
         cruise_mps2 = cruise_mps2.clip(
             -config.maximum_deceleration_mps2, config.maximum_acceleration_mps2
         )
-        emergency = brakes(told.present, told.gap_m, config)
+        emergency = brakes(perceived.present, perceived.gap_m, config)
         return (
             np.where(emergency, -config.emergency_deceleration_mps2, cruise_mps2),
             np.where(emergency, held_m, grown_m),

@@ -18,7 +18,7 @@ MEASURED_CLOSING = "measured_closing"
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """What perception reports of other cars, or the controller is told of them, ``[K, N]``.
 
     Whether it is told of a car at all, where the rest counts; gaps from bumper to bumper [m],
@@ -31,7 +31,9 @@ class Told:
     closing_mps: FloatArray
 
 
-def nothing_told(tracker: Tracker | None, cars: Sequence[str], count: int) -> dict[str, AnyArray]:
+def nothing_reported(
+    tracker: Tracker | None, cars: Sequence[str], count: int
+) -> dict[str, AnyArray]:
     """What states remember before any outcome, arrays ``[count]``."""
     if tracker is None:
         return {}
@@ -40,12 +42,12 @@ def nothing_told(tracker: Tracker | None, cars: Sequence[str], count: int) -> di
     return {**tracker.memory(tracker.start(count, slots=len(cars))), **closing}
 
 
-def told_after(
+def reported_after(
     tracker: Tracker | None,
     cars: Sequence[str],
     memory: Mapping[str, AnyArray],
-    measured: Told,
-) -> tuple[Told, dict[str, AnyArray]]:
+    measured: Reported,
+) -> tuple[Reported, dict[str, AnyArray]]:
     """What the controller is told of what perception reports, and what the next states remember.
 
     Args:
@@ -66,21 +68,21 @@ def told_after(
         closing_mps = np.where(measured.there, measured.closing_mps, held_mps)
         kept = by_car(MEASURED_CLOSING, cars, closing_mps)
     gap_m, aside_m = tracks.position_m[..., 0].T, tracks.position_m[..., 1].T
-    told = Told(tracks.confirmed.T, gap_m, aside_m, closing_mps)
-    return told, {**tracker.memory(tracks), **kept}
+    reported = Reported(tracks.confirmed.T, gap_m, aside_m, closing_mps)
+    return reported, {**tracker.memory(tracks), **kept}
 
 
 def acceleration(
-    config: EncounterConfig, told: Told, *, ego_mps: FloatArray, set_mps: FloatArray
+    config: EncounterConfig, reported: Reported, *, ego_mps: FloatArray, set_mps: FloatArray
 ) -> FloatArray:
     """What the ego does for a step ``[N]`` [m/s^2], at a speed, towards its set speed ``[N]``."""
-    heeded = told.there & in_path(config, told.gap_m, told.aside_m)
-    follow = follow_acceleration(config, told.gap_m, told.closing_mps, ego_mps)
+    heeded = reported.there & in_path(config, reported.gap_m, reported.aside_m)
+    follow = follow_acceleration(config, reported.gap_m, reported.closing_mps, ego_mps)
     wanted = np.minimum(
         config.speed_gain_per_s * (set_mps - ego_mps),
         np.where(heeded, follow, np.inf).min(axis=0),
     ).clip(-config.maximum_deceleration_mps2, config.maximum_acceleration_mps2)
-    hard = (heeded & is_urgent(config, told.gap_m, told.closing_mps)).any(axis=0)
+    hard = (heeded & is_urgent(config, reported.gap_m, reported.closing_mps)).any(axis=0)
     braked = np.where(hard, -config.hard_deceleration_mps2, wanted)
     return np.maximum(braked, -ego_mps / config.dt_s)
 

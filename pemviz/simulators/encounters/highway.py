@@ -55,11 +55,11 @@ class HighwayEncounters(LogicalScenario):
         numbers = [name for name in states.memory if name.startswith(NUMBER)]
         table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
         noises = {} if self.noise is None else self.noise.renewed(states, noise)
-        told, kept = self._told(states, hits, self._places_m(states, noises))
+        reported, kept = self._reported(states, hits, self._places_m(states, noises))
         scene, rows = self._scene, list[list[float]]()
         for row, before in enumerate(table):
             scene.load(before)
-            scene.move(hits[row], *(None if one is None else one[row] for one in told))
+            scene.move(hits[row], *(None if one is None else one[row] for one in reported))
             rows.append([*scene.numbers(), *scene.signals.values().values()])
         return self._states(rows, step=int(states.step) + 1, kept={**kept, **noises})
 
@@ -70,7 +70,7 @@ class HighwayEncounters(LogicalScenario):
     def _places_m(self, states: StateBatch, noises: Mapping[str, AnyArray]) -> FloatArray:
         """Gaps and offsets as perception measures them, ``[N, K, 2]``."""
         true = [
-            np.stack([states.signals[f"{what}_{name}"] for name in self.told_of], axis=-1)
+            np.stack([states.signals[f"{what}_{name}"] for name in self.reported_names], axis=-1)
             for what in ("gap", "aside")
         ]
         true_m = np.stack(true, axis=-1)
@@ -81,7 +81,7 @@ class HighwayEncounters(LogicalScenario):
         places = [measured_place(self.config, *place, *error) for place, error in pairs]
         return np.array(places, dtype=np.float64).reshape(true_m.shape)
 
-    def _told(
+    def _reported(
         self, states: StateBatch, hits: BoolArray, places_m: FloatArray
     ) -> tuple[Sequence[AnyArray | None], dict[str, AnyArray]]:
         """Which tracks there are, where, and how fast, ``[N, K, ...]``; and what states keep."""

@@ -231,7 +231,7 @@ class EncounterEnv(ScriptedEnv):
         gap_m, aside_m = places_m[:, :1], places_m[:, 1:]
         wanted_mps2 = ego.acceleration(
             config,
-            ego.Told(there[:, None], gap_m, aside_m, closing_mps[:, None]),
+            ego.Reported(there[:, None], gap_m, aside_m, closing_mps[:, None]),
             ego_mps=np.array([ego_mps]),
             set_mps=np.array([self.set_speed_mps]),
         )

@@ -90,7 +90,7 @@ class LogicalScenario(ABC):
         return car_names(self.config)
 
     @cached_property
-    def told_of(self) -> tuple[str, ...]:
+    def reported_names(self) -> tuple[str, ...]:
         """Names of what perception may report, a slot each: the cars, and a ghost last."""
         return (*self.cars, GHOST) if self.has_ghost else self.cars
 
@@ -117,7 +117,7 @@ class LogicalScenario(ABC):
 
     @cached_property
     def _signals(self) -> tuple[Signal, ...]:
-        return encounter_signals(self.config, self.told_of)
+        return encounter_signals(self.config, self.reported_names)
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -128,7 +128,7 @@ class LogicalScenario(ABC):
     def _slots(self) -> tuple[Slot, ...]:
         return tuple(
             Slot(TITLES[name], name != GHOST, tuple(f"{what}_{name}" for what in OF_EACH))
-            for name in self.told_of
+            for name in self.reported_names
         )
 
     @cached_property
@@ -161,7 +161,11 @@ class LogicalScenario(ABC):
             return None
         kinds = dict(zip(ERROR_KINDS, self.errors.axes, strict=False))
         return MeasurementNoise(
-            {f"{kind}_{name}": kinds[kind].memory for name in self.told_of for kind in kinds},
+            {
+                f"{kind}_{name}": kinds[kind].memory
+                for name in self.reported_names
+                for kind in kinds
+            },
             self.config.dt_s,
         )
 
@@ -271,12 +275,12 @@ class LogicalScenario(ABC):
         Without a tracker: the car is in the path, and to keep a gap to it slows the ego down. With
         errors: it is not too far beside the path to be measured in it.
         """
-        each = [self.reacts_in(slot, signals) for slot in range(len(self.told_of))]
+        each = [self.reacts_in(slot, signals) for slot in range(len(self.reported_names))]
         return np.stack(each, axis=-1)
 
     def reacts_in(self, slot: int, signals: Mapping[str, FloatArray]) -> BoolArray:
         """The same of one slot, ``[...]``."""
-        config, name = self.config, self.told_of[slot]
+        config, name = self.config, self.reported_names[slot]
         free, aside_m = signals[COLLIDED] == 0.0, signals[f"{ASIDE}_{name}"]
         if self.tracker is not None or self.errors is not None:
             return ego.is_beside(config, aside_m, wider_m=self._wider_m[slot]) & free
@@ -294,7 +298,7 @@ class LogicalScenario(ABC):
         known_s = 0.0
         if self.tracker is not None:
             known_s = (self.tracker.window - 1 + self.tracker.coast_steps) * self.config.dt_s
-        moves = np.array([name == self.cars[0] for name in self.told_of])
+        moves = np.array([name == self.cars[0] for name in self.reported_names])
         moves &= self.config.logical_scenario != "braking"
         wider_m = np.where(moves, FASTEST_ASIDE_MPS * known_s, 0.0)
         return wider_m + (0.0 if self.errors is None else FARTHEST_ASIDE_M)
@@ -332,7 +336,7 @@ class LogicalScenario(ABC):
     def scene_tracks(self, states: StateBatch) -> SceneTracks:
         """Where the controller believes cars to be, from the tracks in states ``[...]``."""
         ego_m, length_m = states.signals[EGO_X], self.config.car_length_m
-        count = len(self.told_of)
+        count = len(self.reported_names)
         return scene_tracks(self.tracker, states, slots=count, ego_m=ego_m, length_m=length_m)
 
 
@@ -393,5 +397,5 @@ class EncounterFeatures:
 
     def _in_turn(self, states: StateBatch) -> Sequence[str]:
         """What the slots in turn are about: one, or all if the states differ in that."""
-        turn, names = self.unrolled.turn_at(states), self.scenario.told_of
+        turn, names = self.unrolled.turn_at(states), self.scenario.reported_names
         return names if turn is None else names[turn : turn + 1]

@@ -100,7 +100,7 @@ class VectorizedEncounters(LogicalScenario):
             memory={
                 **{f"{KEPT_START}{name}": own for name, own in kept.items()},
                 **es.by_car(STATES_AHEAD, self.cars, states_ahead),
-                **ego.nothing_told(self.tracker, self.told_of, count),
+                **ego.nothing_reported(self.tracker, self.reported_names, count),
                 **self.noise_begun(given),
             },
         )
@@ -110,13 +110,17 @@ class VectorizedEncounters(LogicalScenario):
     ) -> StateBatch:
         """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
         config, memory, signals = self.config, states.memory, states.signals
-        every, ego_mps = CarStates.of(self.told_of, signals), signals[es.EGO_SPEED]
+        every, ego_mps = CarStates.of(self.reported_names, signals), signals[es.EGO_SPEED]
         noises = {} if self.noise is None else self.noise.renewed(states, noise)
         measured = self._measured(states, every, detected, noises)
-        told, remembered = ego.told_after(self.tracker, self.told_of, memory, measured)
+        reported, remembered = ego.reported_after(
+            self.tracker, self.reported_names, memory, measured
+        )
         kept = {name: own for name, own in memory.items() if name.startswith(KEPT_START)}
         values = {name.removeprefix(KEPT_START): own for name, own in kept.items()}
-        wanted_mps2 = ego.acceleration(config, told, ego_mps=ego_mps, set_mps=values["ego_speed"])
+        wanted_mps2 = ego.acceleration(
+            config, reported, ego_mps=ego_mps, set_mps=values["ego_speed"]
+        )
         left, moved = self._driven(
             Left(
                 states=states,
@@ -143,14 +147,14 @@ class VectorizedEncounters(LogicalScenario):
         every: CarStates,
         detected: BoolArray,
         noises: Mapping[str, AnyArray],
-    ) -> ego.Told:
+    ) -> ego.Reported:
         """What perception reports, and what it measures of that."""
         sight, gap_m, aside_m = self.sight_at(states), every.gap_m, every.aside_m
         if noises:
             errors_m = np.moveaxis(self.errors_m(sight.salient, noises), 1, 0)
             gap_m, aside_m = displaced(self.config, gap_m, aside_m, errors_m)
         hits = (np.asarray(detected) & sight.present).T
-        return ego.Told(hits, gap_m, aside_m, states.signals[es.EGO_SPEED] - every.along_mps)
+        return ego.Reported(hits, gap_m, aside_m, states.signals[es.EGO_SPEED] - every.along_mps)
 
     def _driven(self, left: Left) -> tuple[Left, Moved]:
         """What is done in the step, and where all cars then are if none touches another."""
@@ -181,7 +185,7 @@ class VectorizedEncounters(LogicalScenario):
         states_ahead = np.where(nearest, ahead_before + 1, 0)
         # one that stands brakes no more
         braked_mps2 = np.minimum(left.others_mps2, cars.speed_mps / config.dt_s)
-        asked_for = {
+        assessed = {
             es.SAFE_DISTANCE: es.settled_distance(config, after, moved.ego_mps, states_ahead),
             es.NEEDLESS: es.needless_deceleration(
                 config,
@@ -196,14 +200,14 @@ class VectorizedEncounters(LogicalScenario):
             margin_s = es.avoidable_by(after, moved.ego_mps, begin_s=begin_s, time_s=time_s)
             was_in, is_in = (es.has_come_in(config, one.aside_m[0]) for one in (cars, after))
             margin_s = np.where(is_in & ~was_in, margin_s, before[es.AVOIDABLE_BY])
-            asked_for[es.AVOIDABLE_BY] = margin_s
+            assessed[es.AVOIDABLE_BY] = margin_s
         signals = {
             es.EGO_X: moved.ego_x_m,
             es.EGO_SPEED: moved.ego_mps,
             es.EGO_ACCELERATION: left.ego_mps2,
             **after.signals(self.cars),
             es.CLEARANCE: np.where(collided, 0.0, es.clearance(config, after)),
-            **{name: np.where(collided, before[name], own) for name, own in asked_for.items()},
+            **{name: np.where(collided, before[name], own) for name, own in assessed.items()},
             es.COLLIDED: collided.astype(np.float64),
             es.IMPACT_SPEED: impact_mps,
         }

@@ -154,7 +154,7 @@ class Encounter:
 
     # -- driving
 
-    def told(self, detected: Sequence[bool]) -> list[tuple[float, float, float]]:
+    def controller_input(self, detected: Sequence[bool]) -> list[tuple[float, float, float]]:
         """Gap, offset and closing speed of the cars that the controller is told of."""
         cars = []
         for car, reported, (present, _) in zip(self.reported, detected, self.seen(), strict=True):
@@ -173,7 +173,7 @@ class Encounter:
 
     def decide(self, detected: Sequence[bool]) -> float:
         config, wanted, hard = self.config, [], False
-        for gap, y, closing in self.told(detected):
+        for gap, y, closing in self.controller_input(detected):
             if abs(y) - self.width / 2 < config.path_half_width_m and gap + self.length > 0:
                 far = gap - config.standstill_gap_m - config.time_gap_s * self.speed
                 wanted += [config.gap_gain_per_s2 * far - config.closing_gain_per_s * closing]

@@ -74,7 +74,7 @@ def test_encounters_are_those_of_one_written_out(logical_scenario, tracker):
             }  # fmt: skip
             if logical_scenario == "cut-in":
                 expected["avoidable_by"] = one.avoidable
-            for name, car in zip(simulator.told_of, one.reported, strict=True):
+            for name, car in zip(simulator.reported_names, one.reported, strict=True):
                 of_car = (one.gap(car), car.y, car.speed, car.heading)
                 what = ("gap", "aside", "speed", "heading")
                 expected |= {f"{w}_{name}": v for w, v in zip(what, of_car, strict=True)}

@@ -226,7 +226,7 @@ class TrafficSimulator:
         """SUMO's own starts for seeds ``[count, 1]``; no tracks."""
         given = np.zeros((count, self.latents.at_start)) if start is None else start
         states = self.scenario.initial(count=count, start=given)
-        none = ego.nothing_told(self.tracker, SLOTS, count)
+        none = ego.nothing_reported(self.tracker, SLOTS, count)
         return replace(states, memory={**states.memory, **none})
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
@@ -234,16 +234,16 @@ class TrafficSimulator:
         signals = states.signals
         gap_m, aside_m, speed_mps, _ = (of.T for of in slot_signals(signals))
         there, ego_mps = self.present(signals).T, signals["ego_speed"]
-        measured = ego.Told(detected.T & there, gap_m, aside_m, ego_mps - speed_mps)
+        measured = ego.Reported(detected.T & there, gap_m, aside_m, ego_mps - speed_mps)
         memory = dict(states.memory)
         if self.tracker is not None:  # no track outlives its car
             none = self.tracker.memory(self.tracker.start(len(detected), slots=len(SLOTS)))
             for name, blank in none.items():
                 slot = int(name.rpartition("_")[2])
                 memory[name] = np.where(there[slot], memory[name], blank)
-        told, kept = ego.told_after(self.tracker, SLOTS, memory, measured)
+        reported, kept = ego.reported_after(self.tracker, SLOTS, memory, measured)
         acceleration = ego.acceleration(
-            self.driving, told, ego_mps=ego_mps, set_mps=signals["wanted_speed"]
+            self.driving, reported, ego_mps=ego_mps, set_mps=signals["wanted_speed"]
         )
         after = self.scenario.step(states, acceleration)  # pyright: ignore[reportArgumentType]  told accelerations
         return replace(after, memory={**after.memory, **kept})
