@@ -5,14 +5,14 @@ import json
 VARYING = ("schema", "files", "digest", "timings_s")
 
 
-def told_by(document):
+def comparable(document):
     """A document without timings, and without the digests that stand in a run folder alone."""
     return {name: value for name, value in document.items() if name not in VARYING}
 
 
-def told(folder):
+def comparable_result(folder):
     """The same of a run folder's."""
-    return told_by(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+    return comparable(json.loads((folder / "result.json").read_text(encoding="utf-8")))
 
 
 def without_digests(folder):

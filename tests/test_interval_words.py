@@ -63,7 +63,7 @@ def plain(text):
     return " ".join(unescape(text).replace("\u2502", " ").split())
 
 
-def told(result, gate=None):
+def document_text(result, gate=None):
     """All that the run's document says, briefly and in full."""
     sections = run_document(result, gate=gate).sections
     return plain(" ".join(plain_lines(b for one in sections for b in (*one.brief, *one.full))))
@@ -74,7 +74,7 @@ def told(result, gate=None):
 def test_the_document_of_a_run(method, reliable):
     result, against = judged(method, reliable=reliable)
     gate = decide_run(result, limit=1e-20)
-    for text in (told(result), plain(gate.sentence)):
+    for text in (document_text(result), plain(gate.sentence)):
         checked(text, against)
 
 
@@ -178,7 +178,7 @@ def test_a_reference_that_disagrees_counts_too(method):
     far = Reference(probability=8e-14, std_error=2e-17, log10_probability=-13.097)
     result = replace(judged(method, reliable=True)[0], reference=far)
     in_file = json.dumps(result_document(result)["estimate"]["interval_caveats"])
-    for text in (told(result), in_file):
+    for text in (document_text(result), in_file):
         assert "0.025 times the reference" in text
         assert not CLAIM.search(text)
 
@@ -186,7 +186,7 @@ def test_a_reference_that_disagrees_counts_too(method):
 def test_the_range_over_refits_is_called_that_and_its_caveats_are_told():
     result, _ = judged("mixture", reliable=True)
     (caveat,) = result.pem_interval.warnings
-    words = told(result)
+    words = document_text(result)
     assert caveat in words
     assert "refits of ml-nn" in words
     assert "refits of one architecture on the same data, not other model classes" in words

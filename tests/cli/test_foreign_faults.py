@@ -10,7 +10,7 @@ from xml.etree import ElementTree as Xml
 import pytest
 
 from pemviz.cli.main import main
-from tests.told import told, told_by
+from tests.comparable_results import comparable, comparable_result
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = '''
@@ -89,7 +89,7 @@ def record(tmp_path, *words):
     return main(["record", *words, *reports, "--json"])
 
 
-def check_told(shown, folder, kind):
+def check_reported(shown, folder, kind):
     """Traceback, then one line with what, where, the folder and how to go on."""
     *traceback, line = shown.err.splitlines()
     traceback = [each for each in traceback if not each.startswith("pemviz: ")]
@@ -112,18 +112,18 @@ def test_whatever_a_simulator_raises_is_a_failed_run(name, workers, fault, tmp_p
     assert record(tmp_path, *WORDS, *out, *workers) == 3
     shown = capsys.readouterr()
     (folder,) = (tmp_path / "runs").iterdir()
-    check_told(shown, folder, FAULTS[name])
+    check_reported(shown, folder, FAULTS[name])
     document = json.loads(shown.out)
     assert document["status"] == "failed"
     assert FAULTS[name] in document["message"]
-    assert told_by(document) == told(folder)
+    assert comparable(document) == comparable_result(folder)
     suite = Xml.parse(tmp_path / "gate.xml").getroot()  # noqa: S314  our own
     assert suite.get("errors") == "1"
     assert FAULTS[name] in suite.find(".//error").get("message")
     assert FAULTS[name] in (tmp_path / "page.md").read_text()
 
     assert record(tmp_path, "--resume", str(folder), "--fail-above", "0.5") == 3
-    check_told(capsys.readouterr(), folder, FAULTS[name])
+    check_reported(capsys.readouterr(), folder, FAULTS[name])
     if workers or name != "exit0":
         return
     fault.write_text("none")
@@ -142,8 +142,8 @@ def test_whatever_a_simulator_raises_is_a_failed_run(name, workers, fault, tmp_p
 def test_an_exit_while_the_simulator_is_built_is_bad_input(fault, tmp_path, capsys):
     fault.write_text("build")
     assert record(tmp_path, *WORDS, "--out", str(tmp_path / "runs")) == 2
-    told = capsys.readouterr().err
-    assert told == "pemviz: simulator = 'faulty': third_party_faults:build raises SystemExit: 0\n"
+    shown = capsys.readouterr().err
+    assert shown == "pemviz: simulator = 'faulty': third_party_faults:build raises SystemExit: 0\n"
 
 
 @pytest.mark.parametrize(
@@ -162,9 +162,9 @@ def test_an_exit_while_an_error_model_is_imported_is_bad_input(
         assert main(["record", "--out", str(tmp_path / "runs"), *pem]) == code
     finally:
         sys.modules.pop("exiting_model", None)
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    shown = capsys.readouterr().err
+    assert words in shown
+    assert shown.count("\n") == 1
 
 
 def test_a_sweep_marks_the_run_and_does_the_rest(fault, tmp_path, capsys):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.main import main
-from tests.told import told, told_by
+from tests.comparable_results import comparable, comparable_result
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ["--stages", "1", "--rollouts", "20", "--final-rollouts", "20", "--epochs", "2",
@@ -45,7 +45,7 @@ def test_json_is_one_object_and_nothing_else(tmp_path, capsys):
     shown = capsys.readouterr()
     document = json.loads(shown.out)
     (folder,) = (tmp_path / "runs").iterdir()
-    assert told_by(document) == told(folder)
+    assert comparable(document) == comparable_result(folder)
     assert document["estimate"]["method"] == "naive"
 
 

@@ -8,7 +8,7 @@ import pytest
 from pemviz.cli.main import main
 from pemviz.export import formats
 from pemviz.export.rollout import UNDATED, read_ranked_rollout
-from tests.told import without_digests
+from tests.comparable_results import without_digests
 
 
 def refused(words, capsys):
@@ -21,7 +21,7 @@ def refused(words, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--format", "csv", "--rank", "175"], "rank = 175: must be from 1 to 174"),
         (["--format", "csv", "--rank", "0"], "rank = 0: must be a whole number, at least 1"),
@@ -34,11 +34,11 @@ def refused(words, capsys):
         (["--format", "csv", "--out", f"{'o' * 300}.csv"], "cannot be written"),
     ],
 )
-def test_bad_input_is_one_line(words, told, sample_run, tmp_path, capsys, monkeypatch):
+def test_bad_input_is_one_line(words, message, sample_run, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.csv").mkdir()
     (tmp_path / "there.csv").write_text("kept")
-    assert told in refused([str(sample_run), *words], capsys)
+    assert message in refused([str(sample_run), *words], capsys)
     assert (tmp_path / "there.csv").read_text() == "kept"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.csv", "there.csv"]
 

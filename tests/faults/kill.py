@@ -27,7 +27,7 @@ from safetensors.numpy import load_file
 import pemviz.cli.record_run  # noqa: F401
 from pemviz.cli import record
 from pemviz.runs.rollout_files import load_rollouts
-from tests.told import told
+from tests.comparable_results import comparable_result
 
 CONFIG = """\
 method = "adaptive"
@@ -132,7 +132,7 @@ def start(words: Sequence[str]) -> int:
 
 
 def contents(folder: Path) -> dict:
-    document = told(folder)
+    document = comparable_result(folder)
     del document["run_id"]
     files = ("config.toml", "rollouts.npz", "proposals.safetensors")
     return {"result": document, **{name: (folder / name).read_bytes() for name in files}}

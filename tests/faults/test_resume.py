@@ -19,7 +19,7 @@ from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.store import carry_out, run_lock
 from pemviz.sampling.rollouts.batches import run_here
-from tests.told import told
+from tests.comparable_results import comparable_result
 
 SMALL = ExperimentConfig(method="adaptive",
     stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,
@@ -32,7 +32,7 @@ FILES = ("config.toml", "rollouts.npz", "proposals.safetensors")
 def contents(folder):
     """Everything that must be the same, bytes where they are."""
     files = {n: (folder / n).read_bytes() for n in FILES if (folder / n).exists()}
-    return {**files, "result": told(folder)}
+    return {**files, "result": comparable_result(folder)}
 
 
 def folder_of(root, name):

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pemviz.panel.controller import Controller
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document
-from tests import told
+from tests import comparable_results
 from tests.panel.conftest import NAIVE, SMALL, wait_until
 
-VARYING = ("run_id", *told.VARYING)
+VARYING = ("run_id", *comparable_results.VARYING)
 
 
 def fixed(document):

@@ -25,8 +25,8 @@ from pemviz.panel.weights_tab import drawn_points, least_gaps
 from pemviz.panel.why_tab import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.store import carry_out, create_run_folder
+from tests.comparable_results import without_digests
 from tests.panel.conftest import NAIVE, wait_until
-from tests.told import without_digests
 
 METRICS = ("classical", "agm", "smooth-cumulative")
 PART = 7
@@ -54,7 +54,7 @@ def both(folder):
     return read, mapped
 
 
-def assert_alike(read, mapped):
+def assert_equal_runs(read, mapped):
     for metric in METRICS:
         for among in ("carrying", "all"):
             for by_share in (False, True):
@@ -78,7 +78,7 @@ def assert_alike(read, mapped):
 @pytest.mark.usefixtures("in_small_parts")
 def test_a_mapped_run_shows_what_a_read_one_does(kept):
     read, mapped = both(kept[0])
-    assert_alike(read, mapped)
+    assert_equal_runs(read, mapped)
     for first, second in zip(read.curves, mapped.curves, strict=True):
         np.testing.assert_array_equal(first.detection, second.detection)
 
@@ -86,7 +86,7 @@ def test_a_mapped_run_shows_what_a_read_one_does(kept):
 @pytest.mark.usefixtures("in_small_parts")
 def test_so_it_does_with_latents_and_rules(latent_folder):
     read, mapped = both(latent_folder)
-    assert_alike(read, mapped)
+    assert_equal_runs(read, mapped)
     assert np.ptp(read.log_weight) > 1.0
     first, second = (rank(run, "classical", rule="far") for run in (read, mapped))
     np.testing.assert_array_equal(first.order, second.order)
@@ -199,13 +199,13 @@ def test_archives_are_mapped_only_as_far_as_they_hold_what_they_claim(tmp_path):
 
 
 def test_a_scan_tells_how_far_it_is_and_is_done_once():
-    some, may_end, told = run_data.Scans(), threading.Event(), threading.Event()
+    some, may_end, heard = run_data.Scans(), threading.Event(), threading.Event()
     calls = []
 
     def scan(report):
         calls.append(None)
         report(7_000)
-        told.set()
+        heard.set()
         assert may_end.wait(30.0)
         return "scores"
 
@@ -213,7 +213,7 @@ def test_a_scan_tells_how_far_it_is_and_is_done_once():
     assert not calls  # left to whoever asks for its value
     count = run_data.AT_ONCE + 1
     assert some.begin("key", scan, count=count) is not None
-    assert told.wait(30.0)
+    assert heard.wait(30.0)
     assert some.begin("key", scan, count=count) == run_data.ScanProgress(7_000, count)
     assert not some.known("key")
     may_end.set()

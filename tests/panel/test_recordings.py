@@ -21,7 +21,7 @@ from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts, part_path, write_part
 from pemviz.runs.store import run_lock
-from tests.told import without_digests
+from tests.comparable_results import without_digests
 
 CRAFTED = (
     "..", ".", "", "/", "../outside", "run/../../outside", "/etc", "run/", "./run", "run\x00",

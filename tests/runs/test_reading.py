@@ -19,10 +19,10 @@ from pemviz.runs.reading import read_result, read_whole_run, run_differs, settin
 from pemviz.runs.result_file import read_kept, write_result
 from pemviz.runs.store import carry_out
 from pemviz.sampling.registry import SHIPPED
+from tests.comparable_results import without_digests
 from tests.faults.test_resume import StopAfter, folder_of
 from tests.reports.runs import result as made_up
 from tests.runs.recounts import assert_recounted
-from tests.told import without_digests
 
 SMALL = ExperimentConfig(
     stages=5, rollouts=40, final_rollouts=90, epochs=20, seed=3, plan=False,
@@ -89,8 +89,8 @@ def test_results_of_older_versions_are_held_as_far_as_they_go(folder, tmp_path, 
     (one, *others) = result.repetitions
     wrong = replace(one, failures=one.failures - 1)
     (words, *_) = recount(kept, replace(result, repetitions=(wrong, *others)))
-    told = f"repetitions[0].failures = {one.failures - 1}: rollouts.npz give {one.failures}"
-    assert words == told
+    expected = f"repetitions[0].failures = {one.failures - 1}: rollouts.npz give {one.failures}"
+    assert words == expected
 
 
 def test_the_shipped_sample_is_believed():

@@ -20,9 +20,9 @@ from pemviz.runs.engine import run_experiment
 from pemviz.runs.observers import KeptStages
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.store import RunStore, create_run_folder
+from tests.comparable_results import comparable_result
 from tests.faults.test_resume import StopAfter
 from tests.runs.test_engine import SMALL
-from tests.told import told
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -92,7 +92,7 @@ def test_config_of_a_run_reproduces_it(finished, tmp_path):
     again = load_config(folder / "config.toml")
     assert again == config
     run_experiment(again, run_id="test", observers=[RunStore(tmp_path)])
-    assert told(folder) == told(tmp_path)
+    assert comparable_result(folder) == comparable_result(tmp_path)
 
 
 def test_result_is_strict_json_with_the_contracts_keys(finished):

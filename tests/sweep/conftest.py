@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.main import main
-from tests.told import told
+from tests.comparable_results import comparable_result
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
@@ -43,7 +43,7 @@ def contents(out: Path) -> dict[str, object]:
         name: (out / name).read_bytes() for name in ("sweep.csv", "sweep.parquet", "summary.md")
     }
     for folder in sorted((out / "runs").iterdir()):
-        found[folder.name] = (told(folder), (folder / "config.toml").read_bytes())
+        found[folder.name] = (comparable_result(folder), (folder / "config.toml").read_bytes())
     return found
 
 

@@ -25,7 +25,7 @@ from pemviz.sweep.plan import make_plan, parse_variation
 from pemviz.sweep.run_task import ModelFiles, RunOutcome, carry_out, model_files, models_of, task_of
 from pemviz.sweep.tables import rows
 from pemviz.sweep.workers import LocalWorkers
-from tests.told import told, told_by
+from tests.comparable_results import comparable, comparable_result
 
 NAIVE = ExperimentConfig(method="naive", final_rollouts=20)
 MODELS = {("ml-nn", None): ModelFiles()}
@@ -202,7 +202,7 @@ def test_a_process_that_is_killed_costs_one_attempt_of_its_own_run(tmp_path):
     for run in plan.runs:
         alone = carry_out(task_of(run, model=ModelFiles(), keep="results"))
         expected = json.loads(dict(alone.files)["result.json"])
-        assert told(tmp_path / run.name) == told_by(expected)
+        assert comparable_result(tmp_path / run.name) == comparable(expected)
     assert multiprocessing.active_children() == []
 
 

@@ -18,9 +18,9 @@ from pemviz.runs.engine import run_experiment
 from pemviz.runs.result_file import result_document
 from pemviz.sweep.carry_out import sweep_folder
 from pemviz.sweep.tables import FIGURES
+from tests.comparable_results import comparable, comparable_result
 from tests.recording.read_back import chunks
 from tests.sweep.conftest import ROOT, VARIED, contents
-from tests.told import told, told_by
 
 
 def sweep(config, out, *words):
@@ -47,7 +47,7 @@ def test_every_run_is_what_the_engine_makes_of_its_configuration(serial):
     expected = result_document(
         run_experiment(load_config(folder / "config.toml"), run_id=folder.name)
     )
-    assert told(folder) == told_by(expected)
+    assert comparable_result(folder) == comparable(expected)
 
 
 def test_the_tables_hold_what_the_results_say(serial):
@@ -192,10 +192,10 @@ def test_a_run_that_fails_is_told_tried_again_and_the_rest_goes_on(tiny, tmp_pat
     words = ["--vary", "batch_time_limit_s=1e-9,600", "--vary", "method=naive", "--workers", "1"]
     assert sweep(tiny, out, *words) == 3
     shown = capsys.readouterr()
-    told = [line for line in shown.err.splitlines() if line.startswith("failed: ")]
-    assert len(told) == 2
-    assert all("a batch of rollouts took longer" in line for line in told)
-    assert [line.endswith("it is tried once more") for line in told] == [True, False]
+    failed = [line for line in shown.err.splitlines() if line.startswith("failed: ")]
+    assert len(failed) == 2
+    assert all("a batch of rollouts took longer" in line for line in failed)
+    assert [line.endswith("it is tried once more") for line in failed] == [True, False]
     assert "1 of 2 runs are done" in shown.err
     failed, done = rows_of(out)
     assert (failed["status"], failed["probability"], done["status"]) == ("failed", "", "done")
