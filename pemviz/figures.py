@@ -146,13 +146,13 @@ def causes(*, result: RunResult) -> RunFigure:
     axes[0].set(ylabel="misses in a violation")
     axes[0].set_title("Where misses cause violations", loc="left")
     _, *by_band = explanation.sensitivity
-    told = [
+    known = [
         (middle, band.elasticity, band.std_error)
         for middle, band in zip(middles.tolist(), by_band, strict=True)
         if band.elasticity is not None
     ]
     axes[1].axhline(0.0, color=GREY, linewidth=0.8)
-    for middle, elasticity, error in told:
+    for middle, elasticity, error in known:
         bar = None if error is None else 2.0 * error
         axes[1].errorbar([middle], [elasticity], yerr=bar, fmt="o", color=BLUE, capsize=3.0)
     axes[1].set(xlabel="gap [m]", ylabel="% fewer violations\nby 1 % fewer misses")

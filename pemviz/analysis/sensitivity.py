@@ -92,7 +92,7 @@ def band_sensitivities(
     edges: Sequence[float],
     target: float | None = None,
     likelihood: OutcomeLikelihood | None = None,
-    untold: str | None = None,
+    unknown_because: str | None = None,
 ) -> tuple[BandSensitivity, ...]:
     """Sensitivity for all distances together, then for each band.
 
@@ -102,12 +102,12 @@ def band_sensitivities(
         edges: Of the bands, ascending [m].
         target: Failure probability to get below, above 0; ``None``: no target.
         likelihood: That of the violations' outcomes; ``None``: they are independent.
-        untold: Why nothing is known of it; ``None``: it is.
+        unknown_because: Why nothing is known of it; ``None``: it is.
     """
     bands = list(itertools.pairwise(edges))
-    if untold is not None:
+    if unknown_because is not None:
         return tuple(
-            BandSensitivity(low, high, None, None, None, untold)
+            BandSensitivity(low, high, None, None, None, unknown_because)
             for low, high in [(None, None), *bands]
         )
     likelihood = likelihood or IndependentOutcomes.of(failures.rollouts)

@@ -77,7 +77,7 @@ class ProgressLines:
         self._console = console
         self._repetitions = 1
         self._stages = 1
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
 
     def notify(self, event: Event) -> None:
         """Print what is done."""
@@ -85,22 +85,22 @@ class ProgressLines:
             case RunStarted():
                 self._repetitions, self._stages = event.config.repetitions, event.stages
             case StageDone() if self._repetitions == 1:
-                if self._is_told(event.stage.stage, self._stages):
+                if self._is_due(event.stage.stage, self._stages):
                     self._print(stage_line(summarise_stage(event.stage), repetitions=1))
             case RepetitionDone() if self._repetitions > 1:
-                if self._is_told(event.repetition, self._repetitions):
+                if self._is_due(event.repetition, self._repetitions):
                     number = f"repetition {event.repetition + 1} of {self._repetitions}"
                     self._print(f"{number}: probability {event.estimate.probability:.3g}")
             case _:
                 pass
 
-    def _is_told(self, place: int, count: int) -> bool:
+    def _is_due(self, place: int, count: int) -> bool:
         """Whether a quarter more is done, or nothing was told for long."""
         quarter = (place + 1) * QUARTERS // count > place * QUARTERS // count
-        return quarter or time.monotonic() - self._told_s > SILENT_S
+        return quarter or time.monotonic() - self._reported_s > SILENT_S
 
     def _print(self, text: str) -> None:
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         self._console.print(text, highlight=False, markup=False)
 
 

@@ -157,11 +157,11 @@ def _planning_problem(motion: BrakingMotion) -> PlanningProblem:
 
 def _comments(rollout: RankedRollout, motion: BrakingMotion) -> list[str]:
     """Facts a line each, ``name: value``; XML allows no two hyphens in a row there."""
-    told = {
+    described = {
         **facts(rollout, motion),
         "ego": f"obstacle {EGO_ID}",
         "lead": f"obstacle {LEAD_ID}",
         "reference_point": "centre of the rectangle",
     }
-    lines = (f"pemviz {name}: {printable_line(value)}" for name, value in told.items())
+    lines = (f"pemviz {name}: {printable_line(value)}" for name, value in described.items())
     return [f"<!-- {re.sub('-(?=-)', '- ', line)} -->" for line in lines]

@@ -136,8 +136,8 @@ def _slot_names(result: RunResult, detected: AnyArray) -> tuple[str, ...]:
     if detected.ndim == 1:
         return ("",)
     count = detected.shape[1]
-    told = () if result.explanation is None else result.explanation.slots
-    names = tuple(slot.name for slot in told)
+    explained = () if result.explanation is None else result.explanation.slots
+    names = tuple(slot.name for slot in explained)
     return names if len(set(names)) == count else tuple(str(slot) for slot in range(count))
 
 

@@ -125,7 +125,7 @@ class RecordingsTab:
         self.save = gui.add_button("Save notes", color="gray", hint=NOTES_HINT)
         self.delete = gui.add_button("Delete", color="red", hint=DELETE_HINT)
         self.save.on_click(browser.on(self._save))
-        self.delete.on_click(browser.on(self._ask))
+        self.delete.on_click(browser.on(self._confirm_deletion))
         self.name.on_update(browser.on(self._chosen))
 
     def refresh(self, state: PanelState) -> None:
@@ -208,21 +208,21 @@ class RecordingsTab:
         self._list()
         self._browser.tell("Notes", f"Kept with {self.name.value}.", color="blue")
 
-    def _ask(self) -> None:
+    def _confirm_deletion(self) -> None:
         name, browser = self.name.value, self._browser
         browser.hub.recordings.folder(name)
-        asked = browser.client.gui.add_modal("Delete a run")
-        with asked:
+        dialog = browser.client.gui.add_modal("Delete a run")
+        with dialog:
             browser.client.gui.add_html(delete_question(name))
             yes = browser.client.gui.add_button("Delete it for good", color="red")
             no = browser.client.gui.add_button("Keep it", color="gray")
 
         def delete() -> None:
-            asked.close()
+            dialog.close()
             self._delete(name)
 
         yes.on_click(browser.on(delete))
-        no.on_click(browser.on(asked.close))
+        no.on_click(browser.on(dialog.close))
 
     def _delete(self, name: str) -> None:
         hub = self._browser.hub

@@ -20,7 +20,7 @@ from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
 from pemviz.panel.scene import FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
 from pemviz.runs.drawn_rollout import (
-    NOT_ASKED,
+    NOT_EVALUATED,
     RIGHT,
     WRONG,
     DrawnRollout,
@@ -54,7 +54,7 @@ VIEWS: dict[str, tuple[Place, Place]] = {
     "from above": ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
 }
 """Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
-SHADES = {NOT_ASKED: GREY, RIGHT: DETECTED, WRONG: MISSED}
+SHADES = {NOT_EVALUATED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ def _draw_answers(plot: Plot, chosen: Track) -> None:
             at_s = chosen.time_s[:-1][answers == answer] + drawn.dt_s / 2
             plot.ticks_at(at_s, y_px=(middle - half, middle + half), color=SHADES[answer])
         if not np.any(answers):
-            plot.note(answer_words(slot, NOT_ASKED), plot.left + 4, middle + 4)
+            plot.note(answer_words(slot, NOT_EVALUATED), plot.left + 4, middle + 4)
         plot.note(_short(slot.name), plot.left - 4, middle + 4, anchor="end")
 
 

@@ -14,7 +14,7 @@ import viser
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLUE, DETECTED, MISSED, car_color, rgb
 from pemviz.panel.server import guarded_server
-from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
+from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, DrawnRollout, answer_words
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ BALL_ABOVE_M, WORDS_ABOVE_M, WORDS_ASIDE_M = 0.8, 1.4, 0.4
 LAMPS = ((-0.5, -0.38, 0.48), (-0.5, 0.38, 0.48), (-0.33, 0.0, 0.88))
 """Of a car's length, width and height, from its centre on the ground."""
 LAMP_SIZES_M = ((0.1, 0.34, 0.2), (0.1, 0.34, 0.2), (0.2, 0.5, 0.08))
-BALL_M = {NOT_ASKED: 0.12, RIGHT: 0.28, WRONG: 0.5}
-BALLS = {NOT_ASKED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
+BALL_M = {NOT_EVALUATED: 0.12, RIGHT: 0.28, WRONG: 0.5}
+BALLS = {NOT_EVALUATED: AFTER_CONTACT, RIGHT: rgb(DETECTED), WRONG: rgb(MISSED)}
 
 
 class Scene:
@@ -285,11 +285,11 @@ class _Car:
                 cast_shadow=False,
             )
         self._ball = api.add_icosphere(
-            f"{path}/answer", 1.0, BALLS[NOT_ASKED],
+            f"{path}/answer", 1.0, BALLS[NOT_EVALUATED],
             position=(0.0, 0.0, shape.height_m + BALL_ABOVE_M),
             cast_shadow=False, visible=False,
         )  # fmt: skip
-        self._is_asked = drawn.slot_of_car[car] is not None
+        self._is_evaluated = drawn.slot_of_car[car] is not None
 
     def at(self, step: int, *, after: bool) -> None:
         states, car = self._drawn.states, self._car
@@ -307,7 +307,7 @@ class _Car:
             lit = not after and bool(self._brakes[step])
             lamp.color, lamp.scale = (LAMP_ON, 1.35) if lit else (LAMP_OFF, 1.0)
         answer = int(self._answers[step])
-        self._ball.visible = self._is_asked and not after and step < self._drawn.count - 1
+        self._ball.visible = self._is_evaluated and not after and step < self._drawn.count - 1
         self._ball.color, self._ball.scale = BALLS[answer], BALL_M[answer]
 
 

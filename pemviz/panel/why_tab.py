@@ -54,11 +54,11 @@ def why(run: RunData | None, *, targets: Mapping[str, str] | None = None) -> str
 
 def _why(run: RunData, *, targets: Mapping[str, str]) -> str:
     document = run_document(run.result)
-    told = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
+    sections = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
     beyond = sections_html(document.choose(("extrapolation",)))
     return page(
         *map(cell, _misses(run)),
-        *(cell(part) for section in told for part in section_cells(section, targets=targets)),
+        *(cell(part) for section in sections for part in section_cells(section, targets=targets)),
         cell(sections_html(document.choose(("assumptions",)))),
         wide(f"<div style='columns:{PLOT_PX}px'>{beyond}</div>"),
     )

@@ -16,7 +16,7 @@ from pemviz.arrays import AnyArray
 from pemviz.colors import DETECTED, GREEN, GREY, MISSED, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
-from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, DrawnRollout, answer_words
+from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import Road, SceneCar, SceneTracks, SceneZone
 
 MOST_ROADS = 3
@@ -26,12 +26,12 @@ VERGE_M = 5.0
 """Between two roads; a rollout's words stand there."""
 BEHIND_M, AHEAD_M = 15.0, 60.0
 DASH_M, DASH_SPACING_M = 3.0, 9.0
-ANSWERS: dict[int, Rgba] = {NOT_ASKED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
+ANSWERS: dict[int, Rgba] = {NOT_EVALUATED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
 SIGMAS = 2.0
 """How many standard deviations an ellipse of a track reaches."""
 PAINT: Rgba = (190, 190, 190, 255)
 ROAD: Rgba = (55, 55, 60, 255)
-RADII_M = {NOT_ASKED: 0.15, RIGHT: 0.3, WRONG: 0.6}
+RADII_M = {NOT_EVALUATED: 0.15, RIGHT: 0.3, WRONG: 0.6}
 """Of the mark over a car: a miss differs in more than its colour."""
 CABIN_SHARE, BODY_SHARE = 0.55, 0.58
 """Of a car's length, and of its height."""

@@ -14,7 +14,7 @@ from pemviz.recording import paths, scene
 from pemviz.recording.plot import NO_DOT
 from pemviz.recording.scene import AHEAD_M, ANSWERS, BEHIND_M, DASH_M, VERGE_M, OnRoad, row_m
 from pemviz.recording.stream import RecordingFile
-from pemviz.runs.drawn_rollout import NOT_ASKED, WRONG, DrawnRollout, answer_words
+from pemviz.runs.drawn_rollout import NOT_EVALUATED, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import Road
 
 Bounds = tuple[tuple[float, float], tuple[float, float]]
@@ -119,7 +119,7 @@ def _outcomes(one: OnRoad, step: int) -> Iterator[Strip]:
     for car, shape in enumerate(drawn.cars):
         answer = int(drawn.answer_about(car)[step])
         x_m = states.x_m[step, car] - states.x_m[step, 0]
-        if answer == NOT_ASKED or not _in_view(x_m, shape.length_m / 2):
+        if answer == NOT_EVALUATED or not _in_view(x_m, shape.length_m / 2):
             continue
         size = np.array([shape.length_m + HALO_M, shape.width_m + HALO_M])
         turn = _turn(float(states.heading_rad[step, car]))

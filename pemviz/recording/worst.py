@@ -29,7 +29,7 @@ from pemviz.recording import paths, plot
 from pemviz.recording.rollouts import THICK, THIN, series_colors
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import (
-    NOT_ASKED,
+    NOT_EVALUATED,
     DrawnRollout,
     drawn_rollout,
     faultless,
@@ -250,7 +250,9 @@ def _log_outcomes(file: RecordingFile, tracks: Sequence[Track], *, stage: int, d
     for rank, track in enumerate(tracks, start=1):
         always = np.ones(track.detected.size, dtype=np.bool_)
         for slot, (name, right) in enumerate(track.right_by_slot.items()):
-            in_view = always if track.drawn is None else track.drawn.answers[:, slot] != NOT_ASKED
+            in_view = (
+                always if track.drawn is None else track.drawn.answers[:, slot] != NOT_EVALUATED
+            )
             rows.append(_OutcomeRow(f"rank {rank}, {name}", right, in_view))
         if not track.right_by_slot:
             rows.append(_OutcomeRow(f"rank {rank}", track.detected, always))

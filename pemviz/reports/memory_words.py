@@ -143,12 +143,12 @@ def frailty_line(memory: RunMemory | None) -> str | None:
     """What the answer's assumption on how obstacles differ is worth; ``None`` without a curve."""
     if memory is None or not memory.frailty_curve:
         return None
-    alike = _by_place(memory, BY_FRAILTY)[0.0].probability
-    assumed = f"a frailty of {memory.frailty:g}: {alike:.1g} if obstacles are alike (0)"
+    equal = _by_place(memory, BY_FRAILTY)[0.0].probability
+    assumed = f"a frailty of {memory.frailty:g}: {equal:.1g} if obstacles are alike (0)"
     if memory.frailty == 0.0:
-        assumed = f"that obstacles in the same state are alike (frailty 0): {alike:.1g} if they are"
-    told = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
-    return f"So is {told}.{_worth(memory, BY_FRAILTY)}"
+        assumed = f"that obstacles in the same state are alike (frailty 0): {equal:.1g} if they are"
+    assumptions = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
+    return f"So is {assumptions}.{_worth(memory, BY_FRAILTY)}"
 
 
 def assumption_worth(memory: RunMemory | None) -> str:

@@ -149,6 +149,6 @@ def _add_complaint(
 
 def _facts(result: RunResult) -> list[str]:
     said = run_document(result).blocks("answer", "robustness", "warnings", "extrapolation")
-    told = plain_lines(one for one in said if isinstance(one, Headline | Table | Caution))
-    lines = [f"run {result.run_id}, status {result.status}", *told]
+    printed = plain_lines(one for one in said if isinstance(one, Headline | Table | Caution))
+    lines = [f"run {result.run_id}, status {result.status}", *printed]
     return [printable_lines(line) for line in lines]

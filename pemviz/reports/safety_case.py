@@ -86,8 +86,8 @@ def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> 
     """
     if len(runs) == 1:
         config = runs[0].result.config
-        asked = ", ".join(rule.name for rule in config.rules) or config.spec
-        title, below_title = f"Safety case evidence: {asked}", f"Run {runs[0].name}"
+        specified = ", ".join(rule.name for rule in config.rules) or config.spec
+        title, below_title = f"Safety case evidence: {specified}", f"Run {runs[0].name}"
         body = _run(runs[0], below=below, prefix="")
     else:
         title = f"Safety case evidence: {len(runs)} runs"
@@ -121,11 +121,11 @@ def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
     named = ", ".join(rule.name for rule in config.rules) or config.spec
     about = f"{named}; {scenario_text(config)}; error model {result.pem.name}; seed {config.seed}"
     no_plan = (Paragraph("This run made no plan: pemviz record --plan makes one."),)
-    told = (html.heading(e.title) + html.blocks_html(e.full) for e in _evidence(run, document))
+    evidence = (html.heading(e.title) + html.blocks_html(e.full) for e in _evidence(run, document))
     parts = [
         ("Claim", html.blocks_html(_claim_blocks(result, below=below))),
         ("Argument", html.blocks_html([doc.Bullets(_argument(result), numbered=True)])),
-        ("Evidence", "".join(told)),
+        ("Evidence", "".join(evidence)),
         ("Assumptions, and what each is worth", html.blocks_html([_assumptions(result)])),
         ("What to measure next", html.blocks_html(document.blocks("plan") or no_plan)),
         ("Data and model", html.blocks_html(_data_and_model(run))),

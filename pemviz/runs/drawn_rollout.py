@@ -17,7 +17,7 @@ from pemviz.simulators.scene import DrawsTracks, Road, SceneCar, SceneStates, Sc
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.types import Simulator, StateBatch
 
-NOT_ASKED, RIGHT, WRONG = 0, 1, 2
+NOT_EVALUATED, RIGHT, WRONG = 0, 1, 2
 """Of perception about a slot at a step: nothing to report, no error, an error."""
 IMPACT_SPEED = "impact_speed"
 """Signal that says how fast the cars touched [m/s], where a scenario has it."""
@@ -34,7 +34,7 @@ class DrawnRollout:
         road: What they drive on.
         states: Where they are, ``[T, C]``.
         slots: The K slots; one, named ``perception``, where a scenario has none.
-        answers: ``[T-1, K]`` :data:`NOT_ASKED`, :data:`RIGHT` or :data:`WRONG`.
+        answers: ``[T-1, K]`` :data:`NOT_EVALUATED`, :data:`RIGHT` or :data:`WRONG`.
         slot_of_car: Each car's place among the slots; ``None`` where it has none.
         tracks: Where the controller believes the slots' cars to be, ``[T, K]``, if that is known.
         dt_s: Time step [s].
@@ -60,11 +60,11 @@ class DrawnRollout:
 
     def answer_about(self, car: int) -> IntArray:
         """``[T]`` what perception reported of a car; nothing at the end and from contact on."""
-        answers = np.full(self.count, NOT_ASKED, dtype=np.int64)
+        answers = np.full(self.count, NOT_EVALUATED, dtype=np.int64)
         slot = self.slot_of_car[car]
         if slot is not None:
             answers[:-1] = self.answers[:, slot]
-        answers[self.count if self.contact_step is None else self.contact_step :] = NOT_ASKED
+        answers[self.count if self.contact_step is None else self.contact_step :] = NOT_EVALUATED
         return answers
 
     def car_of_slot(self, slot: int) -> SceneCar:
@@ -83,7 +83,7 @@ class DrawnRollout:
 
 def answer_words(slot: Slot, answer: int) -> str:
     """What perception reported of a slot, in words: ``detected``, ``MISSED``, ``GHOST`` ..."""
-    if answer == NOT_ASKED:
+    if answer == NOT_EVALUATED:
         return "not in view" if slot.nominal else "no ghost"
     if answer == RIGHT:
         return "detected" if slot.nominal else "no ghost"
@@ -150,7 +150,7 @@ def slot_answers(
         return np.where(outcomes, RIGHT, WRONG)
     nominal = np.array([slot.nominal for slot in simulator.slots], dtype=np.bool_)
     present = np.asarray(simulator.present(signals))[:-1]
-    return np.where(present, np.where(outcomes == nominal, RIGHT, WRONG), NOT_ASKED)
+    return np.where(present, np.where(outcomes == nominal, RIGHT, WRONG), NOT_EVALUATED)
 
 
 def remembered(

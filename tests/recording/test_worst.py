@@ -14,7 +14,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.recording import paths
 from pemviz.recording.scene import OnRoad, row_m
 from pemviz.recording.worst import outcome_frame
-from pemviz.runs.drawn_rollout import NOT_ASKED, RIGHT, WRONG, drawn_rollout, remembered
+from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, drawn_rollout, remembered
 from pemviz.runs.experiment import build_experiment
 from tests.latent_toys import Drift, Flat
 from tests.recording.conftest import record, with_blind_pem
@@ -137,7 +137,7 @@ def test_answers_are_none_where_nothing_is_in_view_and_of_a_ghost_the_other_way_
     drawn = drawn_rollout(
         scenario, signals=signals, detected=np.array([[True, True], [False, True]]), memory={}
     )
-    assert drawn.answers.tolist() == [[RIGHT, NOT_ASKED], [WRONG, WRONG]]
+    assert drawn.answers.tolist() == [[RIGHT, NOT_EVALUATED], [WRONG, WRONG]]
 
 
 def test_a_row_of_outcomes_is_cut_where_its_car_comes_into_view_and_errors_are_those_in_view(
