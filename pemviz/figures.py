@@ -58,7 +58,7 @@ def robustness_distribution(*, stages: Sequence[StageResult], unit: str = "m") -
     Raises:
         InputError: There is no rollout with a finite robustness.
     """
-    scores = [stage.drawn or stage.scored for stage in stages]
+    scores = [stage.sampled or stage.scored for stage in stages]
     robustness = _joined([scored.robustness for scored in scores])
     violated = _joined([scored.violated for scored in scores]).astype(np.bool_)
     finite = np.isfinite(robustness)

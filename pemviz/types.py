@@ -375,7 +375,7 @@ class Estimate(ShownInNotebooks):
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SampledRollouts:
     """What is known of all N rollouts of a large stage that holds M of them, read-only.
 
     Attributes:
@@ -408,14 +408,14 @@ class Drawn:
         return self.row % self.every == 0
 
 
-def place_of(rollout: int, drawn: Drawn | None) -> int:
+def place_of(rollout: int, sampled: SampledRollouts | None) -> int:
     """Where a rollout stands among those that its stage holds; ``None``: it holds all."""
-    return rollout if drawn is None else int(np.searchsorted(drawn.row, rollout))
+    return rollout if sampled is None else int(np.searchsorted(sampled.row, rollout))
 
 
-def numbers_of(count: int, drawn: Drawn | None) -> IntArray:
+def numbers_of(count: int, sampled: SampledRollouts | None) -> IntArray:
     """Index in its stage of each of ``count`` rollouts held, ``[count]``."""
-    return np.arange(count, dtype=np.int64) if drawn is None else drawn.row
+    return np.arange(count, dtype=np.int64) if sampled is None else sampled.row
 
 
 @dataclass(frozen=True)
@@ -440,7 +440,7 @@ class StageResult:
         timings_s: Wall time by part of the work [s].
         kept: What the method needs beside the rollouts to go on from here in another process,
             by name; what it computes again at no cost is left out.
-        drawn: What is known of all rollouts where ``scored`` holds some of them; else ``None``.
+        sampled: What is known of all rollouts where ``scored`` holds some of them; else ``None``.
     """
 
     repetition: int
@@ -458,9 +458,9 @@ class StageResult:
     loss: float | None
     timings_s: Mapping[str, float] = field(default_factory=dict[str, float])
     kept: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
-    drawn: Drawn | None = None
+    sampled: SampledRollouts | None = None
 
     @property
     def count(self) -> int:
         """How many rollouts were drawn."""
-        return self.scored.rollouts.count if self.drawn is None else self.drawn.count
+        return self.scored.rollouts.count if self.sampled is None else self.sampled.count

@@ -107,11 +107,11 @@ def rollouts_under(
         features=features,
     )
     state = method.init(here, repetition=0)
-    drawn: list[ScoredRollouts] = []
+    sampled: list[ScoredRollouts] = []
     while not method.is_done(state):
         state, stage = method.step(here, state)
-        drawn.append(stage.scored)
-    scored = ScoredRollouts.concatenate([replace(part, timings_s={}) for part in drawn])
+        sampled.append(stage.scored)
+    scored = ScoredRollouts.concatenate([replace(part, timings_s={}) for part in sampled])
     return method.estimate(state), scored, method.pooled_log_weight(state)
 
 

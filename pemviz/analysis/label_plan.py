@@ -60,7 +60,7 @@ CONFIDENCE = 0.95
 MOST_PASSES = 4
 SETTLED = 0.3
 """Log of how far a requirement may lie from the model that its violations were sampled for."""
-LARGEST_DRAWN = 0.999
+LARGEST_SAMPLED = 0.999
 """No model that violations are sampled for misses more often."""
 FIRST_MARGIN = 0.2
 """By how much the log failure probability stays below the target, for the violations' own error."""
@@ -393,7 +393,7 @@ def label_plan(
     # first guess: the model's P(missed), changed equally everywhere
     own = model_misses(problem.pem, visited_salient(problem))
     factor = math.exp((math.log(target) - log_probability) / max(elasticity or 0.0, 1.0))
-    start = np.where(own > 0.0, own * factor, LARGEST_DRAWN)
+    start = np.where(own > 0.0, own * factor, LARGEST_SAMPLED)
     found = _required(task, start=start, seed=seed)
     if found is None:
         return None
@@ -429,7 +429,7 @@ def _required(
 ) -> tuple[BandOutcomes, FloatArray] | None:
     """Violations drawn near the cheapest requirement, and that requirement ``[B]``."""
     seeds = np.random.SeedSequence(seed, spawn_key=(SEED_KEY,)).generate_state(MOST_PASSES)
-    drawn_for, margin = np.clip(start, MOST_CERTAIN, LARGEST_DRAWN), FIRST_MARGIN
+    drawn_for, margin = np.clip(start, MOST_CERTAIN, LARGEST_SAMPLED), FIRST_MARGIN
     found = None
     for pass_seed in seeds.tolist():
         outcomes = band_outcomes(
@@ -447,7 +447,7 @@ def _required(
             break
         found = (outcomes, required)
         wanted = np.where(required > 0.0, required, drawn_for)
-        wanted = np.clip(wanted, MOST_CERTAIN, LARGEST_DRAWN)
+        wanted = np.clip(wanted, MOST_CERTAIN, LARGEST_SAMPLED)
         away = np.abs(np.log(wanted / drawn_for))[np.abs(outcomes.slopes(required)) > NEGLIGIBLE]
         if away.size == 0 or float(away.max()) <= SETTLED:
             break

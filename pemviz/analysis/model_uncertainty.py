@@ -334,8 +334,8 @@ def data_bound(
         count=FRAIL_DATA_BOUND_ROLLOUTS if is_frail else DATA_BOUND_ROLLOUTS,
         seeds=np.random.SeedSequence(seed, spawn_key=(DATA_BOUND_KEY,)),
     )
-    drawn = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
-    allowed = monte_carlo_estimate(drawn, method="monte-carlo")
+    sampled = WeighedRollouts.concatenate([weighed(batch) for batch in batches])
+    allowed = monte_carlo_estimate(sampled, method="monte-carlo")
     if sharpened_by is not None and allowed.failures < FEW_FAILURES:
         sharp, *_ = rollouts_under(problem.under(bound), features=sharpened_by, seed=seed)
         if sharp.failures and sharp.ci_high is not None and not sharp.diagnostics:

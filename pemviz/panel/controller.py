@@ -132,7 +132,7 @@ class Watcher:
         self._done_before += count
         self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
         part = stage_arrays(stage, started.signals)
-        part[ROLLOUT] = numbers_of(stage.scored.rollouts.count, stage.drawn)
+        part[ROLLOUT] = numbers_of(stage.scored.rollouts.count, stage.sampled)
         self.run = replace(
             run,
             result=result,

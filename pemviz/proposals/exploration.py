@@ -88,7 +88,7 @@ class ExplorationFamily:
             turns=turns,
         )
 
-    def drawn(
+    def sampled(
         self,
         count: int,
         generator: np.random.Generator,
@@ -260,7 +260,9 @@ class LatentFamily:
             noise=noise,
         )
 
-    def drawn(self, count: int, generator: np.random.Generator, *, of: int) -> "LatentExploration":
+    def sampled(
+        self, count: int, generator: np.random.Generator, *, of: int
+    ) -> "LatentExploration":
         """Members for the first ``count`` of N rollouts, systematically, in random order."""
         at_start = np.zeros((of, self.start.shape[1]))
         at_start[:count] = self.start[_systematic(self.start_share, count, generator)]

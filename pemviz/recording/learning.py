@@ -73,7 +73,7 @@ class StageFigures:
 def stage_figures(stage: StageResult, *, method: str) -> StageFigures:
     """The stage's figures, with the interval of its own estimate."""
     interval = by_name(method).stage_interval
-    bounds = stage_interval(stage.scored, interval=interval, method=method, drawn=stage.drawn)
+    bounds = stage_interval(stage.scored, interval=interval, method=method, sampled=stage.sampled)
     return StageFigures(
         stage=stage.stage,
         kind=stage.kind,
@@ -127,7 +127,7 @@ def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int, stag
 
 def log_robustness(file: RecordingFile, stage: StageResult, *, unit: str) -> None:
     """The distribution of the stage's robustness, as a histogram's outline; red: violated."""
-    values = (stage.drawn or stage.scored).robustness
+    values = (stage.sampled or stage.scored).robustness
     values = values[np.isfinite(values)]
     if values.size == 0:
         return

@@ -154,7 +154,7 @@ class _Writing:
             self.views = without_signals(self.views, keys)
             self._file.blueprint(blueprint(self.views))
         self._write_learning(stage)
-        even = None if stage.drawn is None else stage.drawn.even
+        even = None if stage.sampled is None else stage.sampled.even
         log_rollouts(
             self._file,
             stage,

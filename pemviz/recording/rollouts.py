@@ -89,7 +89,7 @@ def log_rollouts(
     """Log the ``kept`` rollouts of a stage; each entity holds them in that order."""
     scored = stage.scored
     rollouts = scored.rollouts
-    number = numbers_of(rollouts.count, stage.drawn)
+    number = numbers_of(rollouts.count, stage.sampled)
     named = zip(number[kept].tolist(), scored.robustness[kept].tolist(), strict=True)
     names = [f"rollout {rollout}, robustness {level:.3g}" for rollout, level in named]
     shades = series_colors(scored.violated[kept])
@@ -149,7 +149,7 @@ def _log_missed_share(
     Of a large stage that is not held whole, the share of an even sample.
     """
     path = paths.rollouts(stage.stage, paths.MISSED_SHARE)
-    sample = slice(None) if stage.drawn is None else stage.drawn.even
+    sample = slice(None) if stage.sampled is None else stage.sampled.even
     violated, missed = stage.scored.violated[sample], ~detected[sample]
     groups = [
         ("specification holds", ~violated, rgba(HOLDS)),

@@ -136,7 +136,7 @@ def _track(
     stage: StageResult, ranked: RankedRollout, simulator: Simulator | SlotSimulator
 ) -> Track:
     rollouts, slots = stage.scored.rollouts, slots_of(simulator)
-    row = place_of(ranked.rollout, stage.drawn)
+    row = place_of(ranked.rollout, stage.sampled)
     signals = {name: values[row].copy() for name, values in rollouts.signals.items()}
     memory = {name: values[row].copy() for name, values in rollouts.memory.items()}
     detected, latents = rollouts.detected[row], rollouts.latents

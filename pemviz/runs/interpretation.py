@@ -154,10 +154,10 @@ def _with_robustness_tail(
     before = interpreted.result.robustness_tail
     if before is not None and before.rollouts >= stage.count:
         return interpreted
-    if stage.drawn is None:
+    if stage.sampled is None:
         found = robustness_tail(stage.scored.robustness, stage.scored.rollouts.log_weight)
     else:
-        found = robustness_tail(stage.drawn.robustness, stage.drawn.log_weight)
+        found = robustness_tail(stage.sampled.robustness, stage.sampled.log_weight)
     return replace(interpreted, result=replace(interpreted.result, robustness_tail=found or before))
 
 
@@ -228,7 +228,7 @@ def _with_violations(
     if not experiment.model_classes:
         return interpreted
     some, rollouts = model_uncertainty.violating(stage.scored), stage.scored.rollouts
-    number = numbers_of(rollouts.count, stage.drawn)[some.rollout]
+    number = numbers_of(rollouts.count, stage.sampled)[some.rollout]
     log_weight = rollouts.log_weight[some.rollout]
     weighed = _Weighed(replace(some, rollout=number), log_weight, stage.count)
     waiting = (*interpreted.waiting, weighed)
@@ -313,7 +313,7 @@ def _stage_starts(experiment: Experiment, stage: StageResult) -> _StageStarts | 
         even = log_of(stage.log10_probability) - math.log(count) if count else -math.inf
         log_part = np.full(rows.size, even)
     place = np.full((rows.size, 3), (stage.repetition, stage.stage, 0), dtype=np.int64)
-    place[:, 2] = number = numbers_of(rollouts.count, stage.drawn)[rows]
+    place[:, 2] = number = numbers_of(rollouts.count, stage.sampled)[rows]
     return _StageStarts(
         violations=Violations(
             latents=latents.start[rows, :named],

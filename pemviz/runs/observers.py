@@ -100,7 +100,7 @@ class LeastRobust:
                 pass
 
     def _kept(self, first: RankedRollout, stage: StageResult) -> Rollout:
-        rollouts, index = stage.scored.rollouts, place_of(first.rollout, stage.drawn)
+        rollouts, index = stage.scored.rollouts, place_of(first.rollout, stage.sampled)
         detected, latents = rollouts.detected[index], dict[str, FloatArray]()
         if rollouts.latents is not None:
             for name in ("start", "noise"):
@@ -131,7 +131,7 @@ class KeptStages:
     """Observer that keeps all stages; a large run's rollouts take memory accordingly.
 
     With ``keep = "violations"`` a large stage that is learned from may hold some of its rollouts
-    alone, see :attr:`pemviz.types.StageResult.drawn`.
+    alone, see :attr:`pemviz.types.StageResult.sampled`.
 
     Attributes:
         started: What the run reported at its start; ``None`` before.

@@ -97,7 +97,7 @@ def _rank_rollouts(stage: StageResult, rule: str | None) -> list[RankedRollout]:
         share = contributions(chosen.log_weight, violated=violated)
     carries = carrying(share)
     order = np.lexsort((robustness, ~carries))[:LEAST_ROBUST]
-    number = numbers_of(chosen.count, stage.drawn)
+    number = numbers_of(chosen.count, stage.sampled)
     nll = -log_p_of(chosen, order)
     return [
         RankedRollout(

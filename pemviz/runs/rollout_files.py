@@ -20,8 +20,8 @@ from pemviz.files.atomic import write_atomically
 from pemviz.latents import Latents
 from pemviz.sampling.problem import FinishedStage
 from pemviz.types import (
-    Drawn,
     RolloutBatch,
+    SampledRollouts,
     ScoredRollouts,
     Signal,
     StageResult,
@@ -43,7 +43,7 @@ COLUMN = "method."
 """Before the names of what the method keeps of each rollout once a run is done."""
 LATENTS = "latents."
 """Before the names of :class:`pemviz.latents.Latents`' arrays, of those that have columns."""
-DRAWN = "drawn"
+SAMPLED = "drawn"
 """How many rollouts a stage drew, in its file if that does not hold all of them."""
 MOST_OPEN = 64
 """Stages' files that are open at a time while they are joined; of more each is opened in turn."""
@@ -124,10 +124,10 @@ def part_arrays(
         rows: Which of its rollouts the file holds, ascending; ``None``: all, unnumbered.
     """
     if rows is not None:
-        number = rows if stage.drawn is None else stage.drawn.row[rows]
+        number = rows if stage.sampled is None else stage.sampled.row[rows]
         arrays = part_arrays(replace(stage, scored=stage.scored.take(rows)), signals)
-        arrays |= {ROLLOUT: number, DRAWN: np.array(stage.count)}
-        return arrays if stage.drawn is None else arrays | drawn_arrays(stage.drawn)
+        arrays |= {ROLLOUT: number, SAMPLED: np.array(stage.count)}
+        return arrays if stage.sampled is None else arrays | sampled_arrays(stage.sampled)
     rollouts = stage.scored.rollouts
     arrays = stage_arrays(stage, signals, likelihoods=False)
     arrays["pem_logit"] = rollouts.pem_logit
@@ -139,17 +139,17 @@ def part_arrays(
     return arrays
 
 
-def drawn_arrays(drawn: Drawn) -> dict[str, AnyArray]:
+def sampled_arrays(sampled: SampledRollouts) -> dict[str, AnyArray]:
     """What is known of all rollouts of a stage, in its file."""
     return {
-        EVERY: np.array(drawn.every),
-        f"{ALL}robustness": drawn.robustness,
-        f"{ALL}violated": drawn.violated,
-        f"{ALL}log_weight": drawn.log_weight,
+        EVERY: np.array(sampled.every),
+        f"{ALL}robustness": sampled.robustness,
+        f"{ALL}violated": sampled.violated,
+        f"{ALL}log_weight": sampled.log_weight,
     }
 
 
-def drawn_of(arrays: Mapping[str, AnyArray]) -> Drawn | None:
+def sampled_of(arrays: Mapping[str, AnyArray]) -> SampledRollouts | None:
     """The same, read back; ``None`` where a file has nothing of it.
 
     Raises:
@@ -176,7 +176,7 @@ def drawn_of(arrays: Mapping[str, AnyArray]) -> Drawn | None:
     )
     if not fits:
         raise ValueError("what it says of all rollouts does not fit together")
-    return Drawn(row, int(every), robustness, violated, log_weight)
+    return SampledRollouts(row, int(every), robustness, violated, log_weight)
 
 
 def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | None:
@@ -188,8 +188,8 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
     arrays = read_digested(path, of=_belongs_to(path))
     held = arrays["violated"].size if "violated" in arrays else 0
     try:
-        drawn = drawn_of(arrays)
-        if drawn is None and DRAWN in arrays and not np.array_equal(arrays[DRAWN], held):
+        sampled = sampled_of(arrays)
+        if sampled is None and SAMPLED in arrays and not np.array_equal(arrays[SAMPLED], held):
             return None
         rollouts = RolloutBatch(
             signals={signal.name: arrays[signal.key] for signal in signals},
@@ -205,7 +205,7 @@ def finished_stage(path: Path, signals: Sequence[Signal]) -> FinishedStage | Non
         raise InputError(f"stage {path}: {error} is missing") from error
     except ValueError as error:
         raise InputError(f"stage {path}: {error}") from error
-    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT), drawn=drawn)
+    return FinishedStage(scored=scored, kept=_without_prefix(arrays, KEPT), sampled=sampled)
 
 
 def _without_prefix(arrays: Mapping[str, AnyArray], prefix: str) -> dict[str, AnyArray]:
@@ -323,7 +323,7 @@ def _opened(part: Path, kept: contextlib.ExitStack | None) -> Opened:
 
 def _documented(names: Sequence[str]) -> list[str]:
     """Of a stage's file, what stands in ``rollouts.npz``, in its order."""
-    left_out = {DRAWN, DIGEST, *LOGITS.values()}
+    left_out = {SAMPLED, DIGEST, *LOGITS.values()}
     columns = [n for n in names if not n.startswith((*PARTS_OWN, COLUMN)) and n not in left_out]
     if "log_p" in columns:
         return columns
@@ -383,5 +383,5 @@ def _layout(table: Mapping[str, AnyArray]) -> dict[str, tuple[str, int, tuple[in
     return {
         name: (array.dtype.str, array.ndim, array.shape[1:])
         for name, array in table.items()
-        if not name.startswith(PARTS_OWN) and name not in (DRAWN, DIGEST)
+        if not name.startswith(PARTS_OWN) and name not in (SAMPLED, DIGEST)
     }

@@ -123,7 +123,7 @@ class RunStore:
         self._signals: tuple[Signal, ...] = ()
         self._keep: KeepName = "all"
         self._parts: list[Path] = []
-        self._drawn: list[int] = []  # by each stage of the repetition at hand
+        self._sampled: list[int] = []  # by each stage of the repetition at hand
         self._columns: list[Mapping[str, AnyArray]] = []
         self._others = others
         self._proposals: dict[str, AnyArray] = {}
@@ -171,7 +171,7 @@ class RunStore:
     def _keep_stage(self, stage: StageResult, result: RunResult) -> None:
         part = rollout_files.part_path(self.folder, repetition=stage.repetition, stage=stage.stage)
         self._parts.append(part)
-        self._drawn.append(stage.count)
+        self._sampled.append(stage.count)
         if stage.learned is not None:
             prefix = f"repetition.{stage.repetition}.stage.{stage.stage}"
             for name, array in stage.learned.arrays().items():
@@ -191,10 +191,10 @@ class RunStore:
 
     def _keep_columns(self, columns: Mapping[str, AnyArray]) -> None:
         """What the method keeps of a repetition's rollouts, stage by stage."""
-        edges = np.cumsum([0, *self._drawn])
+        edges = np.cumsum([0, *self._sampled])
         for begin, end in itertools.pairwise(edges.tolist()):
             self._columns.append({name: each[begin:end] for name, each in columns.items()})
-        self._drawn = []
+        self._sampled = []
 
     def _write_proposals(self, *, durable: bool) -> None:
         if self._proposals:

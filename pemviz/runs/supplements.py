@@ -9,7 +9,7 @@ import numpy as np
 
 from pemviz.analysis.band_models import BandOutcomes, band_outcomes
 from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan, refit_plan, sequence_plan
-from pemviz.analysis.label_plan import LARGEST_DRAWN, LabelPlan, label_plan, model_misses
+from pemviz.analysis.label_plan import LARGEST_SAMPLED, LabelPlan, label_plan, model_misses
 from pemviz.errors import PemError
 from pemviz.pem import Pem, load_pem, support_of
 from pemviz.proposals.fixed import PemProposal
@@ -217,7 +217,7 @@ def _refits(experiment: Experiment, outcomes: BandOutcomes) -> tuple[RefitBand, 
     if outcomes.effective_failures(own) < SMALL_ESS and experiment.twin is not None:
         outcomes = band_outcomes(
             replace(experiment.problem, simulator=experiment.twin),
-            miss=np.where(own > 0.0, own, LARGEST_DRAWN),
+            miss=np.where(own > 0.0, own, LARGEST_SAMPLED),
             features=experiment.features,
             seed=experiment.config.seed,
         )

@@ -12,7 +12,7 @@ from pemviz.sampling.estimates.importance_weights import (
     log_mean_failing_weight,
 )
 from pemviz.sampling.problem import Problem, sample
-from pemviz.types import Drawn, Estimate, Proposal, ScoredRollouts, StageResult
+from pemviz.types import Estimate, Proposal, SampledRollouts, ScoredRollouts, StageResult
 
 State = TypeVar("State")
 State_contra = TypeVar("State_contra", contravariant=True)
@@ -129,16 +129,16 @@ def final_stage(
     stage: int,
     scored: ScoredRollouts,
     sampled_from: Proposal,
-    drawn: Drawn | None = None,
+    sampled: SampledRollouts | None = None,
 ) -> StageResult:
     """The record of a stage from which nothing is learned.
 
-    ``drawn`` are all of its rollouts, where ``scored`` holds some alone.
+    ``sampled`` are all of its rollouts, where ``scored`` holds some alone.
     """
-    violated = scored.violated if drawn is None else drawn.violated
+    violated = scored.violated if sampled is None else sampled.violated
     failures, probability, log10_probability, ess = int(violated.sum()), 0.0, None, None
     if failures:
-        log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
+        log_weight = scored.rollouts.log_weight if sampled is None else sampled.log_weight
         log_probability = log_mean_failing_weight(log_weight, violated)
         probability = float(np.exp(log_probability))
         log10_probability = log_probability / float(np.log(10.0))
@@ -158,7 +158,7 @@ def final_stage(
         ess=ess,
         loss=None,
         timings_s=scored.timings_s,
-        drawn=drawn,
+        sampled=sampled,
     )
 
 

@@ -27,7 +27,14 @@ from pemviz.sampling.state.composed import (
 )
 from pemviz.simulators.absorbing import Monitor
 from pemviz.simulators.latents import latent_counts, within
-from pemviz.types import Drawn, Proposal, RolloutBatch, ScoredRollouts, Simulator, StateBatch
+from pemviz.types import (
+    Proposal,
+    RolloutBatch,
+    SampledRollouts,
+    ScoredRollouts,
+    Simulator,
+    StateBatch,
+)
 
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
@@ -41,12 +48,12 @@ class FinishedStage:
     Attributes:
         scored: Its rollouts.
         kept: See :class:`pemviz.types.StageResult`.
-        drawn: Likewise.
+        sampled: Likewise.
     """
 
     scored: ScoredRollouts
     kept: Mapping[str, AnyArray]
-    drawn: Drawn | None = None
+    sampled: SampledRollouts | None = None
 
 
 def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # noqa: ARG001

@@ -10,9 +10,9 @@ from pemviz.panel.loading import load_run
 from pemviz.recording.recorder import Recorder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.observers import KeptStages, LeastRobust
-from pemviz.runs.rollout_files import drawn_arrays, drawn_of, load_rollouts, part_path
+from pemviz.runs.rollout_files import load_rollouts, part_path, sampled_arrays, sampled_of
 from pemviz.runs.store import carry_out
-from pemviz.types import Drawn
+from pemviz.types import SampledRollouts
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages
 from tests.runs.recounts import assert_recounted
@@ -84,17 +84,17 @@ def test_stages_hold_no_more_than_what_is_looked_at(runs):
     for whole, few in zip(runs["all"][1], runs["few"][1], strict=True):
         assert (few.count, few.failures) == (whole.count, whole.failures)
         if few.kind == "final":
-            assert few.drawn is None
+            assert few.sampled is None
             continue
         held, scored = few.scored.rollouts.count, whole.scored
-        assert HELD <= held == few.drawn.row.size <= HELD + EVEN + 3 * LISTED < whole.count
-        np.testing.assert_array_equal(few.drawn.robustness, scored.robustness)
-        np.testing.assert_array_equal(few.drawn.log_weight, scored.rollouts.log_weight)
-        row = few.drawn.row
+        assert HELD <= held == few.sampled.row.size <= HELD + EVEN + 3 * LISTED < whole.count
+        np.testing.assert_array_equal(few.sampled.robustness, scored.robustness)
+        np.testing.assert_array_equal(few.sampled.log_weight, scored.rollouts.log_weight)
+        row = few.sampled.row
         gap = few.scored.rollouts.signals["gap"]
         np.testing.assert_array_equal(gap, scored.rollouts.signals["gap"][row])
         assert not few.scored.rollouts.log_weight.flags.writeable
-        for values in (row, few.drawn.robustness, few.drawn.violated, few.drawn.log_weight):
+        for values in (row, few.sampled.robustness, few.sampled.violated, few.sampled.log_weight):
             assert not values.flags.writeable
 
 
@@ -125,12 +125,18 @@ def test_files_number_rollouts_by_their_stage(runs):
     ],
 )
 def test_what_a_file_tells_of_all_rollouts_is_checked(name, value):
-    drawn = Drawn(np.array([0, 2]), 2, np.zeros(3), np.ones(3, dtype=np.bool_), np.zeros(3))
-    whole = {"rollout": drawn.row, "violated": np.ones(2, dtype=np.bool_), **drawn_arrays(drawn)}
-    assert drawn_of(whole).count == 3
-    assert drawn_of({"violated": whole["violated"]}) is None
+    sampled = SampledRollouts(
+        np.array([0, 2]), 2, np.zeros(3), np.ones(3, dtype=np.bool_), np.zeros(3)
+    )
+    whole = {
+        "rollout": sampled.row,
+        "violated": np.ones(2, dtype=np.bool_),
+        **sampled_arrays(sampled),
+    }
+    assert sampled_of(whole).count == 3
+    assert sampled_of({"violated": whole["violated"]}) is None
     with pytest.raises(ValueError, match="does not fit together"):
-        drawn_of({**whole, name: value})
+        sampled_of({**whole, name: value})
 
 
 def test_a_recording_tells_of_all_rollouts(runs):

@@ -56,7 +56,7 @@ def test_a_stage_is_over_when_enough_violate(runs):
     enough = runs["few"][3].enough
     part = enough // 4
     for stage in learned:
-        violated, row = stage.drawn.violated, stage.drawn.row
+        violated, row = stage.sampled.violated, stage.sampled.row
         before = int(violated[:-part].sum())
         if stage.count < 150:
             assert before < enough <= stage.failures == int(violated.sum()) < enough + part
@@ -69,7 +69,7 @@ def test_a_stage_is_over_when_enough_violate(runs):
 def test_held_rollouts_are_those_of_the_whole_stage(runs):
     for whole, few in zip(runs["all"][1], runs["few"][1], strict=True):
         assert (few.count, few.failures) == (whole.count, whole.failures)
-        assert whole.drawn is None
-        row = numbers_of(few.scored.rollouts.count, few.drawn)
+        assert whole.sampled is None
+        row = numbers_of(few.scored.rollouts.count, few.sampled)
         for name, values in whole.scored.rollouts.signals.items():
             np.testing.assert_array_equal(few.scored.rollouts.signals[name], values[row])

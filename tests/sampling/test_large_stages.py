@@ -189,24 +189,24 @@ def test_what_stays_does_not_depend_on_batches(seed, cuts, most, level):
     so_far = Thinned(count=COUNT, most=most)
     for batch in batches(scored, cuts):
         so_far = so_far.extended(batch)
-    held, drawn = so_far.done()
+    held, sampled = so_far.done()
     least = np.lexsort((scored.robustness, ~scored.violated))[:most]
     listed = [
         np.argsort(ranks, kind="stable")[:LISTED]
         for ranks in (scored.robustness, scored.rule_robustness["other"])
     ]
-    even = np.arange(0, COUNT, drawn.every)
+    even = np.arange(0, COUNT, sampled.every)
     expected = np.unique(np.concatenate([least, *listed, even]))
-    np.testing.assert_array_equal(drawn.row, expected)
-    np.testing.assert_array_equal(np.flatnonzero(drawn.even), np.searchsorted(expected, even))
+    np.testing.assert_array_equal(sampled.row, expected)
+    np.testing.assert_array_equal(np.flatnonzero(sampled.even), np.searchsorted(expected, even))
     for name in ("detected", "pem_logit"):
         values = getattr(scored.rollouts, name)[expected]
         np.testing.assert_array_equal(getattr(held.rollouts, name), values)
     np.testing.assert_array_equal(held.broken["other"], scored.broken["other"][expected])
-    assert drawn.count == COUNT
+    assert sampled.count == COUNT
     for name in ("robustness", "violated"):
-        np.testing.assert_array_equal(getattr(drawn, name), getattr(scored, name))
-    np.testing.assert_array_equal(drawn.log_weight, scored.rollouts.log_weight)
+        np.testing.assert_array_equal(getattr(sampled, name), getattr(scored, name))
+    np.testing.assert_array_equal(sampled.log_weight, scored.rollouts.log_weight)
 
 
 def test_rows_that_wait_are_bounded(monkeypatch):
@@ -219,8 +219,8 @@ def test_rows_that_wait_are_bounded(monkeypatch):
         most = max(most, sum(part.rollouts.count for part in so_far.held))
     assert sum(part.sum() for part in so_far.violated) > 35_000
     assert 50 < most <= 50 + 3 + 3 + 10 + 50
-    held, drawn = so_far.done()
-    assert held.rollouts.count == drawn.row.size <= 50 + 3 + 3 + 10
+    held, sampled = so_far.done()
+    assert held.rollouts.count == sampled.row.size <= 50 + 3 + 3 + 10
 
 
 def test_a_long_scenario_s_rollouts_are_fewer():
@@ -230,8 +230,9 @@ def test_a_long_scenario_s_rollouts_are_fewer():
 
 def test_places_of_rollouts_that_a_stage_holds():
     scored = stage_of(3)
-    _, drawn = Thinned(count=COUNT, most=20).extended(scored).done()
-    assert numbers_of(drawn.row.size, drawn)[place_of(int(drawn.row[7]), drawn)] == drawn.row[7]
+    _, sampled = Thinned(count=COUNT, most=20).extended(scored).done()
+    seventh = int(sampled.row[7])
+    assert numbers_of(sampled.row.size, sampled)[place_of(seventh, sampled)] == seventh
     assert place_of(7, None) == 7
     assert numbers_of(3, None).tolist() == [0, 1, 2]
 

@@ -105,7 +105,7 @@ def test_exploration_proposals_are_sampled_in_their_shares_and_as_they_say():
     features = SignalFeatures(simulator.signals)
     family = ExplorationFamily.over(16)
     generator = np.random.default_rng(3)
-    drawn = family.drawn(4000, generator, features=features, violated=VIOLATED, of=4100)
+    drawn = family.sampled(4000, generator, features=features, violated=VIOLATED, of=4100)
     for strength in np.unique(family.strength):
         expected = 4000 * family.share[family.strength == strength].sum()
         assert abs((drawn.strength[:4000] == strength).sum() - expected) <= 1 + 0.01 * expected
@@ -135,7 +135,7 @@ def test_rollouts_do_not_depend_on_batches():
 
 def test_a_batch_in_pieces_gives_the_same_rollouts():
     simulator, pem = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=3.0)
-    proposal = ExplorationFamily.over(14).drawn(
+    proposal = ExplorationFamily.over(14).sampled(
         30,
         np.random.default_rng(1),
         features=SignalFeatures(simulator.signals),

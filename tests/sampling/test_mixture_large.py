@@ -48,7 +48,7 @@ def test_a_stage_is_over_with_the_part_that_brings_enough(few_others):
     method, state, results = ended(problem, seed=3, enough=20)
     drawn = [stage.count for stage in results[:-1]]
     for stage in results[:-1]:
-        violated = stage.drawn.violated
+        violated = stage.sampled.violated
         assert stage.count % 5 == 0
         assert int(violated[:-5].sum()) < 20
         assert stage.count == 400 or 20 <= violated.sum() < 25
@@ -57,11 +57,11 @@ def test_a_stage_is_over_with_the_part_that_brings_enough(few_others):
     answer = method.estimate(state)
     assert answer.rollouts_simulated == answer.rollouts_in_estimate == sum(drawn) + 60
     pool = state.pool
-    assert pool.count < pool.drawn == pool.judged.violated.size
+    assert pool.count < pool.sampled == pool.judged.violated.size
     counts = [stage.failures for stage in results]
     assert int(pool.judged.violated.sum()) == sum(counts)
     told = np.concatenate(
-        [s.scored.violated if s.drawn is None else s.drawn.violated for s in results]
+        [s.scored.violated if s.sampled is None else s.sampled.violated for s in results]
     )
     np.testing.assert_array_equal(pool.judged.violated, told)
 
@@ -114,7 +114,7 @@ def test_weights_do_not_depend_on_what_is_held():
                 last=stage == 5,
             )
     few, whole = pools["few"], pools["all"]
-    assert few.count < whole.count == whole.drawn == few.drawn == 460
+    assert few.count < whole.count == whole.sampled == few.sampled == 460
     judged, bad = few.judged, whole.violated
     np.testing.assert_array_equal(judged.component, whole.component)
     np.testing.assert_array_equal(judged.violated, bad)

@@ -299,9 +299,9 @@ class AdaptiveSampling:
             seeds=stage_seeds(seed=self.seed, repetition=state.repetition, stage=state.stage),
         ):
             lesson, held = lesson.extended(batch), held.extended(batch)
-        scored, drawn = held.done()
+        scored, sampled = held.done()
         began = time.perf_counter()
-        learned = lesson.learned(scored.robustness if drawn is None else drawn.robustness)
+        learned = lesson.learned(scored.robustness if sampled is None else sampled.robustness)
         network, loss = gap_network.fit_gap_network(
             state.network,
             learned.table,
@@ -314,7 +314,7 @@ class AdaptiveSampling:
             stage=state.stage,
             scored=scored,
             sampled_from=proposal,
-            drawn=drawn,
+            sampled=sampled,
         )
         return network, _taught(
             result,
@@ -329,8 +329,8 @@ class AdaptiveSampling:
         self, state: AdaptiveState, proposal: Proposal, finished: FinishedStage
     ) -> tuple[GapNetwork, StageResult]:
         """As an interrupted run left it: what it learned is kept beside its rollouts."""
-        scored, drawn = finished.scored, finished.drawn
-        robustness = scored.robustness if drawn is None else drawn.robustness
+        scored, sampled = finished.scored, finished.sampled
+        robustness = scored.robustness if sampled is None else sampled.robustness
         threshold = None if state.stage == 0 else elite_threshold(robustness, sigma=self.sigma)
         chosen = elites(robustness, threshold=np.inf if threshold is None else threshold)
         network = gap_network.gap_network_from_arrays(finished.kept)
@@ -339,7 +339,7 @@ class AdaptiveSampling:
             stage=state.stage,
             scored=scored,
             sampled_from=proposal,
-            drawn=drawn,
+            sampled=sampled,
         )
         return network, _taught(
             result,

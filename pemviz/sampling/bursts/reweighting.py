@@ -209,7 +209,7 @@ class Scenario:
         """``each`` rollouts from every family of exploration proposals."""
         found: list[ScoredRollouts] = []
         for given, child in zip(self.explored, seeds.spawn(len(self.explored)), strict=True):
-            exploration = ExplorationFamily.over(self.steps).drawn(
+            exploration = ExplorationFamily.over(self.steps).sampled(
                 each,
                 np.random.default_rng(child.spawn(1)[0]),
                 features=self.features(given),

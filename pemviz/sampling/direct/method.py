@@ -55,7 +55,7 @@ class DirectSampling:
 
     def step(self, problem: Problem, state: DirectState) -> tuple[DirectState, StageResult]:
         """Draw and score the next part."""
-        stage = len(state.batch.drawn)
+        stage = len(state.batch.sampled)
         scored = sample_stage(
             problem,
             proposal=self.proposal,

@@ -23,7 +23,7 @@ from pemviz.sampling.estimates.importance_weights import (
 )
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import weighed
-from pemviz.types import Diagnostic, Drawn, Estimate, ScoredRollouts
+from pemviz.types import Diagnostic, Estimate, SampledRollouts, ScoredRollouts
 
 STRICTEST: IntervalBasis = "weights"
 """What the interval of a method is taken to rest on that is not known here."""
@@ -95,21 +95,25 @@ class StageBounds:
 
 
 def stage_interval(
-    scored: ScoredRollouts, *, interval: StageInterval, method: str, drawn: Drawn | None = None
+    scored: ScoredRollouts,
+    *,
+    interval: StageInterval,
+    method: str,
+    sampled: SampledRollouts | None = None,
 ) -> StageBounds:
     """Interval of P(violation) from one stage's rollouts, at 95 % unless it has caveats.
 
     ``binomial`` (Clopper and Pearson 1934), ``log-normal`` from the weights of the violations, or
-    another: the stage tells none. ``drawn`` are all rollouts, where ``scored`` holds some alone and
-    the method weighs them.
+    another: the stage tells none. ``sampled`` are all rollouts, where ``scored`` holds some alone
+    and the method weighs them.
     """
     if interval == "binomial":
         estimate = monte_carlo_estimate(weighed(scored), method=method)
         return StageBounds(estimate.ci_low, estimate.ci_high, interval_caveats(estimate))
-    violated = scored.violated if drawn is None else drawn.violated
+    violated = scored.violated if sampled is None else sampled.violated
     if interval != "log-normal" or not violated.any():
         return StageBounds()
-    log_weight = scored.rollouts.log_weight if drawn is None else drawn.log_weight
+    log_weight = scored.rollouts.log_weight if sampled is None else sampled.log_weight
     log_probability = log_mean_failing_weight(log_weight, violated)
     log_error = log_std_error(log_weight, violated)
     relative_error = math.exp(log_error - log_probability)

@@ -270,7 +270,7 @@ class Pool:
         return int(self.violated.size)
 
     @property
-    def drawn(self) -> int:
+    def sampled(self) -> int:
         """Number of all rollouts N."""
         return int(self.component.size)
 
@@ -355,12 +355,12 @@ class Pool:
         The part is the final batch, or what was sampled before it.
         """
         if not self.failing or part.stop is not None:
-            own = slice(*np.searchsorted(self.rows, part.indices(self.drawn)[:2]).tolist())
+            own = slice(*np.searchsorted(self.rows, part.indices(self.sampled)[:2]).tolist())
             found = balance_weights(self.log_ratio[own], self.component[part])
             if self.row is None:
                 return found
             among = np.full(self.component[part].size, np.nan)
-            among[self.row[own] - part.indices(self.drawn)[0]] = found
+            among[self.row[own] - part.indices(self.sampled)[0]] = found
             return among
         final = [(weights.rollout, weights.among_final) for weights in self.failing]
         found = self._with_final(np.full(len(self.log_ratio), np.nan), final)
@@ -370,7 +370,7 @@ class Pool:
         """Of all rollouts, ``[N]`` of ``[M]``; ``fill`` of those that are not among the M."""
         if self.row is None:
             return values
-        found = np.full(self.drawn, fill, dtype=values.dtype)
+        found = np.full(self.sampled, fill, dtype=values.dtype)
         found[self.row] = values
         return found
 

@@ -52,7 +52,7 @@ def columns_of(pool: Pool, *, final: slice) -> dict[str, AnyArray]:
     for rule in (None, *pool.rules):
         under, ending = (pool, "") if rule is None else (pool.under_rule(rule), f".{rule}")
         columns[f"{LOG_WEIGHT}{ending}"] = under.judged.log_weight
-        among = np.full(pool.drawn, np.nan)
+        among = np.full(pool.sampled, np.nan)
         among[final] = under.weights_among(final)
         columns[f"{FINAL_LOG_WEIGHT}{ending}"] = among
     return columns
@@ -96,8 +96,8 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
         violated=spread(np.ones(final.size), 0.0).astype(np.bool_),
         component=np.concatenate(
             [
-                _filled(_strata(known, place[own], drawn, most=size), size, NOT_KEPT)
-                for own, size, drawn in parts
+                _filled(_strata(known, place[own], sampled, most=size), size, NOT_KEPT)
+                for own, size, sampled in parts
             ]
         ),
         log_p=spread(kept.log_p, np.nan),
@@ -107,13 +107,13 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
     )
 
 
-def _strata(known: IntArray, place: IntArray, drawn: IntArray, *, most: int) -> IntArray:
+def _strata(known: IntArray, place: IntArray, sampled: IntArray, *, most: int) -> IntArray:
     """Components of violations, then as many of each as were sampled and hold.
 
     Raises:
         ValueError: They are more than ``most``, or more violate than were sampled.
     """
-    hold = drawn - np.bincount(place, minlength=known.size)
+    hold = sampled - np.bincount(place, minlength=known.size)
     if np.any(hold > most) or place.size + hold.sum() > most:
         message = "more rollouts are of a component than there are"
         raise ValueError(message)
@@ -132,7 +132,7 @@ def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
         _of(pool.weights_among(part), judged.violated[part], judged.component[part])
         for part in (slice(0, final.start), final)
     ]
-    odd = np.arange(pool.drawn) % 2 == 1
+    odd = np.arange(pool.sampled) % 2 == 1
     halves = [
         _of(judged.log_weight[half], judged.violated[half], judged.component[half])
         for half in (odd, ~odd)

@@ -63,7 +63,7 @@ LARGEST_SHARE = 0.5
 """Of the probability under the error model that elites have between them."""
 RELEVANT_SHARE = 1e-3
 """Of the estimate, from a hidden failure mode that is explored in every stage that learns."""
-HARDLY_DRAWN = 3.0
+HARDLY_SAMPLED = 3.0
 """Log of how many times more often exploration proposals draw a rollout than the main proposals
 do."""
 EVEN_SHARE = 0.9
@@ -282,7 +282,7 @@ def _fit_to_hidden_modes(
         latents=pool.latents,
     )
     by_main = np.asarray(log_sum_exp(ratio + np.log([fit.share for fit in main]), axis=1))
-    hardly = pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_DRAWN)
+    hardly = pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_SAMPLED)
     hidden = Elites(VIOLATION_THRESHOLD, hardly)
     if hidden.count == 0:
         return ()

@@ -129,7 +129,7 @@ class MixtureSampling:
             stage=state.stage,
             scored=sampled.scored,
             sampled_from=stages.main_proposal(state, steps=steps) or PemProposal(),
-            drawn=sampled.drawn,
+            sampled=sampled.sampled,
         )
         if last:
             return advanced, result
@@ -294,6 +294,6 @@ class MixtureSampling:
         return Planned.of(
             sizes,
             lambda size: self._components(state, size),
-            before=pool.component[: pool.drawn - sum(state.frozen)],
+            before=pool.component[: pool.sampled - sum(state.frozen)],
             proposals=len(pool.proposals) + (0 if state.frozen else len(state.fits)),
         )

@@ -279,7 +279,7 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         decisions = Decisions.concatenate([decisions, moved])
     row = log_stands_for = None
     if pool.row is not None or fresh.row is not None:
-        row = np.concatenate([pool.rows, fresh.rows + pool.drawn])
+        row = np.concatenate([pool.rows, fresh.rows + pool.sampled])
     if pool.log_stands_for is not None or fresh.log_stands_for is not None:
         stand_for = [(each.log_stands_for, each.count) for each in (pool, fresh)]
         log_stands_for = np.concatenate(

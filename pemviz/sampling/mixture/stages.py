@@ -41,7 +41,7 @@ from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, 
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
-from pemviz.types import Drawn, ScoredRollouts, StateBatch
+from pemviz.types import SampledRollouts, ScoredRollouts, StateBatch
 
 EARLY_EXPLORATION_SHARE = 0.25
 """Of the rollouts of the first half of the learning stages, sampled from the exploration proposals'
@@ -238,7 +238,7 @@ class MixtureState:
     @property
     def final(self) -> slice:
         """Which rollouts of the pool are the final batch, as far as it is sampled."""
-        sampled = 0 if self.pool is None else self.pool.drawn
+        sampled = 0 if self.pool is None else self.pool.sampled
         return slice(sampled - sum(self.frozen), None)
 
 
@@ -289,7 +289,7 @@ def _divided(
     steps, explored = problem.simulator.states - 1, component == EXPLORATION
     count, first = int(explored.sum()), int(component[~explored].min(initial=component.max()))
     fits = [None if c == EXPLORATION else state.fits[c - first] for c in component.tolist()]
-    exploration = ExplorationFamily.over(steps, turns=state.turns).drawn(
+    exploration = ExplorationFamily.over(steps, turns=state.turns).sampled(
         count, generator, features=state.features, violated=VIOLATED, of=component.size
     )
     fitted = main_proposal(state, steps=steps)
@@ -314,7 +314,7 @@ def _divided(
         fitted,
         explored,
         targets,
-        moved=family.drawn(count, generator, of=component.size),
+        moved=family.sampled(count, generator, of=component.size),
         start=StartMoves(
             np.stack([each.start.mean for each in means]),
             np.stack([each.start.sd for each in means]),
@@ -362,18 +362,18 @@ class SampledStage:
 
     Attributes:
         scored: Its rollouts, or those that are held.
-        drawn: What is known of all, where not all are held.
+        sampled: What is known of all, where not all are held.
         joining: Those that join the pool.
     """
 
     scored: ScoredRollouts
-    drawn: Drawn | None
+    sampled: SampledRollouts | None
     joining: Joining
 
     @property
     def count(self) -> int:
         """How many were sampled."""
-        return self.scored.rollouts.count if self.drawn is None else self.drawn.count
+        return self.scored.rollouts.count if self.sampled is None else self.sampled.count
 
 
 @dataclass(frozen=True)
@@ -419,27 +419,29 @@ class InParts:
             done, violations = done + size, violations + int(scored.violated.sum())
             if violations >= self.enough:
                 break
-        held, drawn = thinned.done()
-        joining = self._joining(held, drawn)
+        held, sampled = thinned.done()
+        joining = self._joining(held, sampled)
         if problem.thins:
-            return SampledStage(held, drawn, joining)
+            return SampledStage(held, sampled, joining)
         return SampledStage(whole.done()[0], None, joining)
 
     def restored(self, finished: FinishedStage) -> SampledStage:
         """As an interrupted run left it."""
-        scored, drawn = finished.scored, finished.drawn
-        if drawn is not None:
-            return SampledStage(scored, drawn, self._joining(scored, drawn))
+        scored, sampled = finished.scored, finished.sampled
+        if sampled is not None:
+            return SampledStage(scored, sampled, self._joining(scored, sampled))
         thinned = Thinned(count=self.count, most=self.most).extended(scored)
         return SampledStage(scored, None, self._joining(*thinned.done()))
 
-    def _joining(self, held: ScoredRollouts, drawn: Drawn) -> Joining:
+    def _joining(self, held: ScoredRollouts, sampled: SampledRollouts) -> Joining:
         """The least robust as they are, an even sample for the others."""
-        least = np.zeros(drawn.count, dtype=np.bool_)
-        least[least_robust(drawn.robustness, drawn.violated)[: self.most]] = True
-        own, others = least[drawn.row], drawn.even & ~least[drawn.row]
-        standing = np.zeros(drawn.row.size)
+        least = np.zeros(sampled.count, dtype=np.bool_)
+        least[least_robust(sampled.robustness, sampled.violated)[: self.most]] = True
+        own, others = least[sampled.row], sampled.even & ~least[sampled.row]
+        standing = np.zeros(sampled.row.size)
         if others.any():
             standing[others] = math.log(np.count_nonzero(~least) / np.count_nonzero(others))
         chosen = own | others
-        return Joining(held.take(chosen), drawn.row[chosen], standing[chosen], drawn.even[chosen])
+        return Joining(
+            held.take(chosen), sampled.row[chosen], standing[chosen], sampled.even[chosen]
+        )

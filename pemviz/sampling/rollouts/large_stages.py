@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, Rows, row_sums
-from pemviz.types import Drawn, RolloutBatch, ScoredRollouts, outcome_log_likelihood
+from pemviz.types import RolloutBatch, SampledRollouts, ScoredRollouts, outcome_log_likelihood
 
 LARGEST_PART = 20_000
 """Rollouts of 100 states sampled at once: about 0.1 GB with signals, memory and logits."""
@@ -111,25 +111,25 @@ class FinalBatch:
     """The parts' sizes, and weights as far as they are sampled; each is a stage of its own."""
 
     sizes: tuple[int, ...]
-    drawn: tuple[WeighedRollouts, ...] = ()
+    sampled: tuple[WeighedRollouts, ...] = ()
 
     @property
     def next_size(self) -> int:
         """Rollouts of the next part."""
-        return self.sizes[len(self.drawn)]
+        return self.sizes[len(self.sampled)]
 
     @property
     def is_done(self) -> bool:
         """Whether all parts are sampled."""
-        return len(self.drawn) == len(self.sizes)
+        return len(self.sampled) == len(self.sizes)
 
     def extended(self, scored: ScoredRollouts) -> Self:
         """With one more part."""
-        return replace(self, drawn=(*self.drawn, weighed(scored)))
+        return replace(self, sampled=(*self.sampled, weighed(scored)))
 
     def under_rule(self, rule: str) -> Self:
         """The same with the verdict of one rule."""
-        return replace(self, drawn=tuple(part.under_rule(rule) for part in self.drawn))
+        return replace(self, sampled=tuple(part.under_rule(rule) for part in self.sampled))
 
     def weighed(self) -> WeighedRollouts:
         """All of it.
@@ -140,7 +140,7 @@ class FinalBatch:
         if not self.is_done:
             message = "the final rollouts have not been sampled yet"
             raise ValueError(message)
-        return WeighedRollouts.concatenate(self.drawn)
+        return WeighedRollouts.concatenate(self.sampled)
 
 
 def largest_held(*, states: int) -> int:
@@ -232,10 +232,10 @@ class Thinned:
             stays[np.argsort(robustness, kind="stable")[:LISTED]] = True
         return np.flatnonzero(stays).astype(np.int64)
 
-    def done(self) -> tuple[ScoredRollouts, Drawn]:
+    def done(self) -> tuple[ScoredRollouts, SampledRollouts]:
         """What stays, and what is known of all, once all are sampled."""
         settled = self.settled()
-        return settled.held[0], Drawn(
+        return settled.held[0], SampledRollouts(
             row=settled.row[0],
             every=self.every,
             robustness=np.concatenate(self.robustness),

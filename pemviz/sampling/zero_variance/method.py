@@ -90,7 +90,7 @@ class ZeroVarianceSampling:
         self, problem: Problem, state: ZeroVarianceState
     ) -> tuple[ZeroVarianceState, StageResult]:
         """Sample and score the next part."""
-        stage = len(state.batch.drawn)
+        stage = len(state.batch.sampled)
         scored = sample_stage(
             with_absorbing_violation(problem),
             proposal=state.proposal,
