@@ -162,7 +162,7 @@ START_VALUES: Mapping[str, tuple[StartValue, ...]] = {
 }
 """By logical scenario; where they come from stands in ``pemviz.simulators.encounters``."""
 NEIGHBOUR_GAP = _start("neighbour_gap", "m", (-50.0, 100.0), "uniform(5, 60)")
-GHOST_GAP = _start("ghost_gap", "m", (0.0, 250.0), "uniform(20, 200)")
+FALSE_POSITIVE_GAP = _start("ghost_gap", "m", (0.0, 250.0), "uniform(20, 200)")
 
 
 def start_values(config: EncounterConfig) -> tuple[StartValue, ...]:
@@ -171,4 +171,4 @@ def start_values(config: EncounterConfig) -> tuple[StartValue, ...]:
     if not own:
         return ()
     neighbour = (NEIGHBOUR_GAP,) if config.neighbour else ()
-    return (*own, *neighbour, *((GHOST_GAP,) if config.ghost_probability else ()))
+    return (*own, *neighbour, *((FALSE_POSITIVE_GAP,) if config.ghost_probability else ()))

@@ -26,7 +26,7 @@ IMPACT_SPEED = "impact_speed"
 
 GAP, ASIDE, SPEED, HEADING = OF_EACH = ("gap", "aside", "speed", "heading")
 """What there is of every other car, as ``gap_NAME``."""
-GHOST = "ghost"
+FALSE_POSITIVE = "ghost"
 """A slot that is about no car."""
 LARGEST_MPS2 = 20.0
 WIDEST_M = 50.0

@@ -23,15 +23,15 @@ from pemviz.simulators.encounters.encounter_signals import (
     COLLIDED,
     EGO_SPEED,
     EGO_X,
+    FALSE_POSITIVE,
     GAP,
-    GHOST,
     HEADING,
     OF_EACH,
     SPEED,
     CarStates,
     encounter_signals,
 )
-from pemviz.simulators.encounters.sight import EncounterSight, GhostReports
+from pemviz.simulators.encounters.sight import EncounterSight, FalsePositiveReports
 from pemviz.simulators.measurement_errors import MeasurementNoise, PositionErrors
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import SeenStates, Slot, UnrolledSimulator
@@ -43,7 +43,7 @@ TITLES = {
     "cutting_in": "car that cuts in",
     "revealed": "revealed car",
     "neighbour": "neighbour",
-    GHOST: "ghost",
+    FALSE_POSITIVE: "ghost",
 }
 """Names of slots."""
 ERROR_KINDS = ("range", "cross_range")
@@ -92,18 +92,19 @@ class LogicalScenario(ABC):
     @cached_property
     def reported_names(self) -> tuple[str, ...]:
         """Names of what perception may report, a slot each: the cars, and a ghost last."""
-        return (*self.cars, GHOST) if self.has_ghost else self.cars
+        return (*self.cars, FALSE_POSITIVE) if self.has_false_positive else self.cars
 
     @property
-    def has_ghost(self) -> bool:
+    def has_false_positive(self) -> bool:
         """Whether there is a place where a ghost may appear."""
         return self.config.ghost_probability > 0.0
 
     @property
-    def slot_models(self) -> Mapping[str, GhostReports]:
+    def slot_models(self) -> Mapping[str, FalsePositiveReports]:
         """How likely the ghost is reported, by its slot's name; nothing without one."""
-        probability = self.config.ghost_probability
-        return {TITLES[GHOST]: GhostReports(probability)} if self.has_ghost else {}
+        if not self.has_false_positive:
+            return {}
+        return {TITLES[FALSE_POSITIVE]: FalsePositiveReports(self.config.ghost_probability)}
 
     @property
     @abstractmethod
@@ -127,7 +128,7 @@ class LogicalScenario(ABC):
     @cached_property
     def _slots(self) -> tuple[Slot, ...]:
         return tuple(
-            Slot(TITLES[name], name != GHOST, tuple(f"{what}_{name}" for what in OF_EACH))
+            Slot(TITLES[name], name != FALSE_POSITIVE, tuple(f"{what}_{name}" for what in OF_EACH))
             for name in self.reported_names
         )
 
@@ -261,8 +262,8 @@ class LogicalScenario(ABC):
 
     def sight_of(self, each: CarStates, signals: Mapping[str, FloatArray]) -> EncounterSight:
         """The same, of whose other cars the places are put together already."""
-        ghost_gap_m = np.asarray(signals[f"{GAP}_{GHOST}"]) if self.has_ghost else None
-        return EncounterSight(self.config, each, ghost_gap_m)
+        own = np.asarray(signals[f"{GAP}_{FALSE_POSITIVE}"]) if self.has_false_positive else None
+        return EncounterSight(self.config, each, own)
 
     def sight_at(self, states: StateBatch) -> EncounterSight:
         """The same, at states that may know it already."""

@@ -17,8 +17,8 @@ from pemviz.config import EncounterConfig
 from pemviz.simulators.braking.scenario import car_salient
 from pemviz.simulators.encounters.encounter_signals import (
     ASIDE,
+    FALSE_POSITIVE,
     GAP,
-    GHOST,
     HEADING,
     SPEED,
     CarStates,
@@ -29,7 +29,7 @@ NEAREST_M = 0.5
 """Ahead of the camera: what is nearer is taken for as near as that, or not seen at all."""
 PARTLY, LARGELY, HIDDEN = 0.1, 0.5, 0.9
 """Occluded shares from which a car is partly occluded, largely occluded, and not to be seen."""
-GHOST_GAP = "ghost_gap"
+FALSE_POSITIVE_GAP = "ghost_gap"
 """Start value: where a ghost's place is."""
 
 
@@ -59,12 +59,12 @@ class EncounterSight:
     Attributes:
         config: The encounter.
         cars: Where the other cars are, ``[K, ...]``.
-        ghost_gap_m: The ghost's ``[...]`` [m], whose slot comes last; ``None`` without one.
+        false_positive_gap_m: The ghost's ``[...]`` [m], whose slot comes last, if there is one.
     """
 
     config: EncounterConfig
     cars: CarStates
-    ghost_gap_m: FloatArray | None = None
+    false_positive_gap_m: FloatArray | None = None
 
     @property
     def present(self) -> BoolArray:
@@ -79,9 +79,9 @@ class EncounterSight:
     @cached_property
     def _present(self) -> BoolArray:
         config, found = self.config, self._seen.present
-        if (ghost_m := self.ghost_gap_m) is not None:  # near enough, with no car before it
-            z_m = ghost_m + config.camera_to_bumper_m + config.car_length_m / 2
-            before = ahead_in_lane(config, self.cars) & (self.cars.gap_m < ghost_m)
+        if (place_m := self.false_positive_gap_m) is not None:  # near enough, no car before it
+            z_m = place_m + config.camera_to_bumper_m + config.car_length_m / 2
+            before = ahead_in_lane(config, self.cars) & (self.cars.gap_m < place_m)
             own = (z_m > NEAREST_M) & (z_m <= config.farthest_m) & ~before.any(axis=0)
             found = np.concatenate([found, own[None]])
         return np.moveaxis(found, 0, -1)
@@ -89,11 +89,11 @@ class EncounterSight:
     @cached_property
     def _salient(self) -> FloatArray:
         found = _salient(self.config, self._seen, self.cars.heading_rad)
-        if self.ghost_gap_m is not None:
-            place_m = self.ghost_gap_m[None]
+        if self.false_positive_gap_m is not None:
+            place_m = self.false_positive_gap_m[None]
             none = np.zeros_like(place_m)
-            ghost = _salient(self.config, seen(self.config, place_m, none), none)
-            found = np.concatenate([found, ghost])
+            false_positive = _salient(self.config, seen(self.config, place_m, none), none)
+            found = np.concatenate([found, false_positive])
         return np.moveaxis(found, 0, -2)
 
     @cached_property
@@ -184,7 +184,7 @@ def displaced(
 
 
 @dataclass(frozen=True)
-class GhostReports:
+class FalsePositiveReports:
     """How likely perception reports a ghost, as a detector model: the same wherever one may be.
 
     Attributes:
@@ -210,8 +210,8 @@ class GhostReports:
         return np.full(salient.shape[:-1], logit(self.probability))
 
 
-def ghost_signals(ghost_gap_m: FloatArray, ego_x_m: FloatArray) -> dict[str, FloatArray]:
+def false_positive_signals(place_m: FloatArray, ego_x_m: FloatArray) -> dict[str, FloatArray]:
     """The ghost's own signals ``[...]``: a car stands so far ahead of where the ego began."""
     none = np.zeros_like(ego_x_m)
-    found = {GAP: ghost_gap_m - ego_x_m, ASIDE: none, SPEED: none, HEADING: none}
-    return {f"{what}_{GHOST}": values for what, values in found.items()}
+    found = {GAP: place_m - ego_x_m, ASIDE: none, SPEED: none, HEADING: none}
+    return {f"{what}_{FALSE_POSITIVE}": values for what, values in found.items()}

@@ -274,11 +274,11 @@ class Signals:
     @property
     def reported_offsets(self) -> list[tuple[float, float]]:
         """Gap and offset of all that perception may report: the cars, and a ghost last."""
-        ghost_m = self.ghost_m
-        return self.offsets if ghost_m is None else [*self.offsets, (ghost_m, 0.0)]
+        place_m = self.false_positive_m
+        return self.offsets if place_m is None else [*self.offsets, (place_m, 0.0)]
 
     @property
-    def ghost_m(self) -> float | None:
+    def false_positive_m(self) -> float | None:
         """From the ego's bumper to where a ghost may appear; ``None`` where none may."""
         place_m = self.start.get("ghost_gap")
         return None if place_m is None else place_m - self.ego.x_m
@@ -297,8 +297,8 @@ class Signals:
             found[f"gap_{course.name}"], found[f"aside_{course.name}"] = gap_m, aside_m
             found[f"speed_{course.name}"] = car.speed_mps
             found[f"heading_{course.name}"] = car.heading_rad
-        if (ghost_m := self.ghost_m) is not None:
-            found["gap_ghost"] = ghost_m
+        if (place_m := self.false_positive_m) is not None:
+            found["gap_ghost"] = place_m
             found |= {"aside_ghost": 0.0, "speed_ghost": 0.0, "heading_ghost": 0.0}
         found["clearance"] = min(
             max(abs(gap_m + config.car_length_m) - config.car_length_m, abs(y) - config.car_width_m)

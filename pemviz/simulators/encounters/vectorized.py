@@ -22,7 +22,7 @@ from pemviz.simulators.encounters.cars import (
 )
 from pemviz.simulators.encounters.encounter_signals import CarStates
 from pemviz.simulators.encounters.scenario import LogicalScenario
-from pemviz.simulators.encounters.sight import GHOST_GAP, displaced, ghost_signals
+from pemviz.simulators.encounters.sight import FALSE_POSITIVE_GAP, displaced, false_positive_signals
 from pemviz.simulators.slots import SeenStates
 from pemviz.types import StateBatch
 
@@ -91,9 +91,9 @@ class VectorizedEncounters(LogicalScenario):
             **cars.signals(self.cars),
         }
         kept = {name: values[name] for name in KEPT[config.logical_scenario]}
-        if self.has_ghost:
-            kept[GHOST_GAP] = values[GHOST_GAP]
-            found |= ghost_signals(values[GHOST_GAP], none)
+        if self.has_false_positive:
+            kept[FALSE_POSITIVE_GAP] = values[FALSE_POSITIVE_GAP]
+            found |= false_positive_signals(values[FALSE_POSITIVE_GAP], none)
         return StateBatch(
             step=np.zeros((), dtype=np.int64),
             signals={signal.name: found[signal.name] for signal in self.signals},
@@ -131,8 +131,8 @@ class VectorizedEncounters(LogicalScenario):
             )
         )
         found, cars, states_ahead = self._arrived(left, moved)
-        if self.has_ghost:
-            found |= ghost_signals(values[GHOST_GAP], found[es.EGO_X])
+        if self.has_false_positive:
+            found |= false_positive_signals(values[FALSE_POSITIVE_GAP], found[es.EGO_X])
         ahead = es.by_car(STATES_AHEAD, self.cars, states_ahead)
         return SeenStates(
             step=states.step + 1,

@@ -55,10 +55,12 @@ class Encounter:
         self.collided, self.avoidable = False, -10.0
         self.cut_in = start.get("cut_in_time", 0.0)
         self.cars = self.begin(start)
-        self.ghost = None if "ghost_gap" not in start else Car(
+        self.false_positive = None if "ghost_gap" not in start else Car(
             self.length + start["ghost_gap"], 0.0, 0.0
         )  # fmt: skip
-        self.reported = self.cars if self.ghost is None else [*self.cars, self.ghost]
+        self.reported = (
+            self.cars if self.false_positive is None else [*self.cars, self.false_positive]
+        )
         for car in self.reported:
             car.heading = self.aimed(car)
             car.track = None if tracker is None else OneTrack(tracker)
@@ -141,11 +143,11 @@ class Encounter:
                 config.car_height_m, self.width, self.length, -car.y, config.camera_height_m, z,
                 rotation,
             ]))  # fmt: skip
-        if self.ghost is not None:
-            _, z, left, right = self.image(self.ghost)
-            before = any(self.gap(car) < self.gap(self.ghost) for car in self.ahead())
+        if self.false_positive is not None:
+            _, z, left, right = self.image(self.false_positive)
+            before = any(self.gap(car) < self.gap(self.false_positive) for car in self.ahead())
             cut_off = 1.0 - (min(right, edge) - max(left, -edge)) / (right - left)
-            alpha = -math.pi / 2 - math.atan2(-self.ghost.y, z)
+            alpha = -math.pi / 2 - math.atan2(-self.false_positive.y, z)
             found.append((0.5 < z <= config.farthest_m and not before, [
                 0.0, cut_off, 0.0, alpha, config.car_height_m, self.width, self.length, 0.0,
                 config.camera_height_m, z, -math.pi / 2,
