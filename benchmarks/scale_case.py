@@ -10,7 +10,7 @@ from numpy.random import SeedSequence
 from pemviz.config import ExperimentConfig, KeepName, ScenarioConfig
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.sampling.problem import sample
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
     from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
-    from pemviz.runs.store import RunStore
+    from pemviz.runs.run_folder import RunStore
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.hidden import HiddenProperty, Known
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
@@ -62,7 +62,7 @@ _HOMES = {
     "runs.observers": "KeptStages LeastRobust Rollout",
     "runs.reading": "read_result",
     "runs.result": "RunResult",
-    "runs.store": "RunStore",
+    "runs.run_folder": "RunStore",
     "sampling.description": "MethodDescription",
     "sampling.state.hidden": "HiddenProperty Known",
     "simulators.episodic": "EpisodicSimulator side_by_side",

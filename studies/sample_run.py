@@ -17,7 +17,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import RESULT_FILE, write_result
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 
 TARGET = Path(__file__).resolve().parents[1] / "recordings" / "sample"
 RUN_ID = "sample"

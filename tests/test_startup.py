@@ -63,3 +63,8 @@ def test_a_run_needs_not_all_of_scipy():
     code = "import sys, pemviz.cli.record_run;"
     code += f"print('loaded', sorted({watched!r} & set(sys.modules)))"
     assert loaded(code) == "loaded []"
+
+
+def test_commands_of_error_models_explain_themselves_without_runs():
+    watched = {"torch", "sklearn", "pemviz.runs.engine", "pemviz.sampling.mixture.method"}
+    assert loaded(CODE.format(words=["pem", "memory", "--help"], watched=watched)) == "loaded []"

@@ -20,10 +20,11 @@ from pemviz.pem import PemCard
 from pemviz.pem.data.support import BEHIND_M, DISTANCE_EDGES_M, SHAPE, cell_of
 from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
+from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem, nothing_finished
-from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.rollouts.runners import run_here
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import Estimate, ScoredRollouts
 

@@ -37,8 +37,9 @@ from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
-from pemviz.sampling.estimates.estimate import CONFIDENCE, monte_carlo_estimate
-from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
+from pemviz.sampling.estimates.estimators import CONFIDENCE, monte_carlo_estimate
+from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, weighed
 from pemviz.sampling.state.composed import memory_of_pem, own_pem, own_salient

@@ -12,7 +12,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.config.ranges import AtLeastZero, Count, Share
-from pemviz.sampling.estimates.importance_weights import effective_sample_size
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 
 WORST = 0.01
 FEWEST = 100.0

@@ -26,7 +26,8 @@ from pemviz.analysis.outcome_likelihood import (
 from pemviz.arrays import BoolArray, FloatArray, row_sums
 from pemviz.config.ranges import AtLeastZero
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
-from pemviz.sampling.estimates.importance_weights import effective_sample_size, log_sum
+from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 
 SMALLEST_FACTOR = 1e-6
 

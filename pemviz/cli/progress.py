@@ -2,19 +2,16 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 
 from rich.console import Console
 from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
     Progress,
-    ProgressColumn,
     TaskID,
     TextColumn,
-    TimeRemainingColumn,
 )
 
+from pemviz.cli.bars import bar
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
 from pemviz.runs.ranking import summarise_stage
 from pemviz.runs.result import StageSummary
@@ -135,42 +132,3 @@ def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]
     else:
         with bar(console, TextColumn("{task.fields[counted]},")) as progress:
             yield ProgressBar(progress)
-
-
-def bar(console: Console, *counted: ProgressColumn, disable: bool = False) -> Progress:
-    """A bar that goes when it is done: what is under way, how far it is, the time left.
-
-    Args:
-        console: Where it is shown.
-        counted: Columns that say how far in numbers.
-        disable: Show nothing.
-    """
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted,
-               TimeRemainingColumn(), TextColumn("left"))  # fmt: skip
-    return Progress(*columns, console=console, transient=True, disable=disable)
-
-
-@contextlib.contextmanager
-def progress_bar(what: str) -> Generator[Callable[[int, int], None]]:
-    """Yield a function that takes (steps done, steps in all); nothing but on a terminal."""
-    console = Console(stderr=True)
-    # elsewhere than on a terminal rich would leave an empty line
-    with bar(console, MofNCompleteColumn(), disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
-
-
-@contextlib.contextmanager
-def jobs_progress() -> Generator[Callable[[int, int, str], None]]:
-    """Yield a function that takes (jobs done, jobs in all, label): a bar, or a line a job."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda done, total, label: console.print(
-            f"{done} of {total}: {label}", highlight=False, markup=False, soft_wrap=True
-        )
-        return
-    with bar(console, MofNCompleteColumn()) as progress:
-        task = progress.add_task("starting", total=None)
-        yield lambda done, total, label: progress.update(
-            task, completed=done, total=total, description=label
-        )

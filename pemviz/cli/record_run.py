@@ -22,7 +22,7 @@ from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.store import carry_out, create_run_folder
+from pemviz.runs.run_folder import carry_out, create_run_folder
 
 
 def record(arguments: RecordArguments) -> int:

@@ -1,16 +1,17 @@
 """``pemviz reproduce``: the paper's tables and figures beside the published numbers."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import tyro
 
+from pemviz.cli.bars import jobs_progress
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
-from pemviz.cli.progress import jobs_progress
 from pemviz.errors import EXIT_DONE, ConfigError, RunError
 from pemviz.files.atomic import write_bytes
 from pemviz.reproduce.carry_out import reproduce
@@ -66,11 +67,12 @@ def run(words: Sequence[str]) -> int:
     make_folder(arguments.out)
     with stop_on_signals() as should_stop, jobs_progress() as on_progress:
         made = reproduce(settings, on_progress=on_progress, should_stop=should_stop)
-    write_files(made.files(), arguments.out)
-    if not arguments.no_recording:
-        from pemviz.reproduce.recording import write_recording  # noqa: PLC0415  rerun is slow
+    with writable(arguments.out):
+        write_files(made.files(), arguments.out)
+        if not arguments.no_recording:
+            from pemviz.reproduce.recording import write_recording  # noqa: PLC0415  rerun is slow
 
-        write_recording(made, arguments.out / "reproduction.rrd")
+            write_recording(made, arguments.out / "reproduction.rrd")
     print(made.page)
     print(f"pemviz: written to {arguments.out}", file=sys.stderr)
     return EXIT_DONE
@@ -103,14 +105,20 @@ def make_folder(out: Path) -> None:
 
 
 def write_files(contents: Mapping[str, bytes], out: Path) -> None:
-    """Write files by name to a folder, each whole or not at all.
+    """Write files by name to a folder, each whole or not at all."""
+    for name, content in contents.items():
+        write_bytes(out / name, content)
+
+
+@contextmanager
+def writable(out: Path) -> Generator[None]:
+    """What cannot be written to a folder is said of the folder.
 
     Raises:
-        RunError: One cannot be written.
+        RunError: A file cannot be written.
     """
     try:
-        for name, content in contents.items():
-            write_bytes(out / name, content)
+        yield
     except OSError as error:
         message = f"out = {out}: cannot be written ({error})"
         raise RunError(message) from error

@@ -12,9 +12,9 @@ import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, TextColumn
 
+from pemviz.cli.bars import bar
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.cli.progress import bar
 from pemviz.cli.workers import check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, check_value

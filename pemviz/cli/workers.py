@@ -7,7 +7,7 @@ from dataclasses import replace
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment
-from pemviz.sampling.rollouts.batches import PooledRunner
+from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.sweep.cluster import cluster_pool
 
 

@@ -155,7 +155,7 @@ def _figures(run: RunData) -> tuple[str, ...]:
         probability_text(estimate), interval_text(estimate, caveats=caveats),
         f"{estimate.failures:,}", f"{estimate.rollouts_simulated:,}", number(estimate.ess),
         number(estimate.pareto_k, 2), number(estimate.nll_mean),
-        "\N{WARNING SIGN} no" if caveats else "yes",
+        f"\N{WARNING SIGN} no: {'; '.join(caveats)}" if caveats else "yes",
     )  # fmt: skip
 
 
@@ -169,7 +169,7 @@ def settings_table(runs: Sequence[RunData]) -> Block:
         if any(each.get(name) != settings[0].get(name) for each in settings)
     )
     if not rows:
-        return Paragraph("All settings are equal.", tone="quiet")
+        return Paragraph("Settings that differ: none, all are equal.", tone="quiet")
     return Table(("", *LETTERS[: len(runs)]), rows, name="Settings that differ")
 
 

@@ -22,7 +22,7 @@ from pemviz.runs.engine import run as run_engine
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
-from pemviz.runs.store import carry_out, create_run_folder
+from pemviz.runs.run_folder import carry_out, create_run_folder
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of

@@ -104,7 +104,7 @@ def _encounter_text(config: ExperimentConfig) -> str:
         (value.name.replace("_", " "), chosen.get(value.name, value.distribution), value.unit)
         for value in start_values(encounter)
     )
-    drawn = Table(("start value", "distribution", ""), rows)
+    drawn = Table(("start value", "distribution", ""), rows, name="Start values")
     return block(blocks_html([Paragraph(words, tone="quiet"), drawn]))
 
 

@@ -4,9 +4,9 @@ from html import escape
 
 from pemviz.panel.browser import Browser
 from pemviz.panel.controller import PanelState, Progress
-from pemviz.panel.page import block, quiet
+from pemviz.panel.page import block, number, quiet
 from pemviz.panel.run_data import RunData
-from pemviz.reports.document import Caution, Figure, Paragraph
+from pemviz.reports.document import Caution, Figure, Paragraph, Verdict
 from pemviz.reports.gate import decide_run
 from pemviz.reports.html import blocks_html, warning
 from pemviz.reports.memory_words import assumption_worth
@@ -24,8 +24,7 @@ def headline(run: RunData | None, *, limit: float | None = None) -> str:
         f"<span style='color:#52606d'>{escape(run.config.method)}, "
         f"{escape(run.config.metric)}</span></div>"
     )
-    gate = None if limit is None or run.running else decide_run(run.result, limit=limit)
-    document = run_document(run.result, gate=gate, running=run.running)
+    document = run_document(run.result, running=run.running)
     doubts = [one for one in document.blocks("warnings") if isinstance(one, Caution)]
     more = f" (and {len(doubts) - 1} more in Why)" * (len(doubts) > 1)
     worth = assumption_worth(run.result.memory)
@@ -38,7 +37,11 @@ def headline(run: RunData | None, *, limit: float | None = None) -> str:
     ]
     for collect, then in short_rows(run.result)[:1]:
         lines.append(Paragraph(f"Measure next: {collect}; {then} (more in Why)", tone="quiet"))
-    return block(title + blocks_html([*lines, *document.blocks("gate")]))
+    if limit is not None and not run.running:
+        gate = decide_run(run.result, limit=limit)
+        words = f"Fail above {number(limit, 2)}: {gate.sentence}"
+        lines.append(Verdict("yes", words) if gate.outcome == "passed" else Caution(words))
+    return block(title + blocks_html(lines))
 
 
 def status(state: PanelState) -> str:

@@ -14,7 +14,7 @@ from pemviz.files.atomic import write_text
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
-from pemviz.runs.store import run_lock
+from pemviz.runs.run_folder import run_lock
 from pemviz.runs.uncertainty import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]

@@ -286,7 +286,9 @@ class TrajectoriesTab:
         self._player.look_from(*chosen(self.view.value, VIEWS, "view"))
 
     def _step(self, by: int) -> None:
-        self.place.value += by
+        if self._ranking is None or not self._ranking.order.size:
+            return
+        self.place.value = min(max(self.place.value + by, 1), int(self._ranking.order.size))
         self._pick()
 
     def _pick(self) -> None:

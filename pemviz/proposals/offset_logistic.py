@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, Rows
+from pemviz.proposals.defensive import defended
 from pemviz.types import CERTAIN, Signal, StateBatch
 
-LARGEST_SHARE = 0.1
 STANDARD_RANGE = 3.0
 LARGEST_SHIFT = 12.0
 NOISE_DEGREE = 2
@@ -23,26 +23,6 @@ MADE_AT_ONCE = 4_096
 """Decisions: as many as a processor's cache holds with their monomials."""
 ROLLOUTS_AT_ONCE = 250
 """Of many, whose decisions' monomials are made."""
-
-
-def share_for(*, drawn_steps: float, steps: int) -> float:
-    """The share with which ``drawn_steps`` of a rollout's ``steps`` come from the error model."""
-    return min(drawn_steps / steps, LARGEST_SHARE)
-
-
-def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
-    """The mixture of a proposal (weight 1 - share) and the error model, as logits ``[...]``.
-
-    A single outcome's weight is at most 1 / share, whatever the proposal; share is in (0, 1).
-    """
-    log_share, log_rest = float(np.log(share)), float(np.log1p(-share))
-    detected = np.logaddexp(
-        log_rest - np.logaddexp(0.0, -logit), log_share - np.logaddexp(0.0, -pem_logit)
-    )
-    missed = np.logaddexp(
-        log_rest - np.logaddexp(0.0, logit), log_share - np.logaddexp(0.0, pem_logit)
-    )
-    return detected - missed
 
 
 def outcome_ratios(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.proposals.offset_logistic import defended
+from pemviz.proposals.defensive import defended
 from pemviz.types import StateBatch
 
 # cells are shifted by a fraction that no lattice shares, so that states do not lie on edges

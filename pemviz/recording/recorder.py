@@ -1,5 +1,6 @@
 """The observer that writes a run's recording while the run goes on."""
 
+import contextlib
 import threading
 from contextlib import suppress
 from functools import partial
@@ -7,6 +8,7 @@ from pathlib import Path
 
 from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pem_curve
 from pemviz.config import ExperimentConfig
+from pemviz.errors import RunError
 from pemviz.recording import learning, paths, text, worst
 from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.plot import log_intervals
@@ -75,7 +77,12 @@ class Recorder:
                 layout=f"{event.config.method}_{event.stages}",
                 live_port=self._live_port,
             )
-            self._writing = _Writing(file, event, self._rollout_limit, frames=self._frames)
+            try:
+                self._writing = _Writing(file, event, self._rollout_limit, frames=self._frames)
+            except BaseException:
+                with contextlib.suppress(RunError):
+                    file.close()
+                raise
             return
         if self._writing is None:
             return

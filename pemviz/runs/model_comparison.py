@@ -19,8 +19,9 @@ from pemviz.pem.judging.reweight import (
 )
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.sampling.estimates.diagnostics import weight_diagnostics
-from pemviz.sampling.estimates.importance_weights import log_sum, weight_figures
+from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.estimates.trust import caveats
+from pemviz.sampling.estimates.weight_diagnostics import weight_figures
 from pemviz.sampling.problem import sample
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling, with_absorbing_violation
 from pemviz.types import Proposal, ScoredRollouts, outcome_log_likelihood

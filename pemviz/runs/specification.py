@@ -2,17 +2,19 @@
 
 import re
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from pemviz import stl
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.folding import Signals, StepMonitor, declared_signals, folding_of
+from pemviz.sampling.folding import Folding, Signals, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
-from pemviz.sampling.rollouts.batches import CompiledRunner
+from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
@@ -29,15 +31,12 @@ def build_problem(
     metric, folding = build_metric(config, simulator), folding_of(simulator)
     turns = 1 if folding is None else folding.turns
 
-    def in_steps(signals: Signals) -> Signals:
-        return signals if folding is None else folding.signals(signals)
-
     def scored(rule: stl.Formula) -> ScoredRule:
         by_score = isinstance(metric, stl.Classical) and stl.ties_hold(rule)
         monitor = stl.FormulaMonitor(rule)
         return ScoredRule(
-            robustness=lambda signals: stl.robustness(rule, in_steps(signals), metric),
-            violated=None if by_score else lambda signals: stl.violated(rule, in_steps(signals)),
+            robustness=partial(_robustness, rule, metric, folding),
+            violated=None if by_score else partial(_violated, rule, folding),
             monitor=monitor if folding is None else StepMonitor(monitor, turns),
         )
 
@@ -59,6 +58,17 @@ def build_problem(
             for rule in config.rules
         },
     )
+
+
+# functions of the module, so that a problem can be sent to another process
+def _robustness(
+    formula: stl.Formula, metric: stl.Metric, folding: Folding | None, signals: Signals
+) -> FloatArray:
+    return stl.robustness(formula, signals if folding is None else folding.signals(signals), metric)
+
+
+def _violated(formula: stl.Formula, folding: Folding | None, signals: Signals) -> BoolArray:
+    return stl.violated(formula, signals if folding is None else folding.signals(signals))
 
 
 def build_formula(config: ExperimentConfig, simulator: Simulator) -> stl.Formula:

@@ -20,7 +20,7 @@ from pemviz.sampling.bursts import curve as curves
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import nothing_finished, sample
-from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.rollouts.runners import run_here
 from pemviz.sampling.state.composed import hidden_in, own_pem
 from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
 from pemviz.simulators.latents import within

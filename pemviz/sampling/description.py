@@ -220,7 +220,7 @@ def _final_weighed(kept: KeptRepetition) -> WeighedRollouts:
 
 def counted(kept: KeptRepetition) -> Recounted:
     """The share of violations among the final stages' rollouts."""
-    from pemviz.sampling.estimates.estimate import monte_carlo_estimate  # noqa: PLC0415  slow
+    from pemviz.sampling.estimates.estimators import monte_carlo_estimate  # noqa: PLC0415  slow
     from pemviz.sampling.kept import Recounted  # noqa: PLC0415  as above
 
     return Recounted(monte_carlo_estimate(_final_weighed(kept), method=kept.method))
@@ -228,7 +228,7 @@ def counted(kept: KeptRepetition) -> Recounted:
 
 def averaged(kept: KeptRepetition) -> Recounted:
     """The average weight of violations, likewise."""
-    from pemviz.sampling.estimates.estimate import importance_sampling_estimate  # noqa: PLC0415
+    from pemviz.sampling.estimates.estimators import importance_sampling_estimate  # noqa: PLC0415
     from pemviz.sampling.kept import Recounted  # noqa: PLC0415
 
     return Recounted(

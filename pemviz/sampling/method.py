@@ -7,10 +7,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.sampling.estimates.importance_weights import (
-    effective_sample_size,
-    log_mean_failing_weight,
-)
+from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample
 from pemviz.types import Estimate, Proposal, SampledRollouts, ScoredRollouts, StageResult
 

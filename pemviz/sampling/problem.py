@@ -12,7 +12,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.batches import (
+from pemviz.sampling.rollouts.runners import (
     BatchRunner,
     BatchTask,
     check_numbers,
@@ -63,6 +63,10 @@ def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # no
 
 def _no_progress(done: int, total: int) -> None:
     pass
+
+
+def _no_pause() -> None:
+    """Go on."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class Problem:
     batch_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
-    pause: Callable[[], None] = lambda: None
+    pause: Callable[[], None] = _no_pause
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None

@@ -64,9 +64,9 @@ class Complaint:
         """
         try:
             return function(*given)
-        except ConfigError:  # said in words already
-            raise
         except BaseException as error:
+            if isinstance(error, ConfigError) and not about:  # said in words already
+                raise
             if isinstance(error, SimulationError) and error.__cause__ is None:
                 raise ConfigError(str(error)) from error
             self.refuse(f"{what} raises {exception_text(error)}{about}", cause=error)

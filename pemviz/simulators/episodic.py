@@ -168,8 +168,8 @@ class SideBySide:
             values = running.environments[row % places].reset(*given[row])
             running.values.append(self._checked(values))
 
-        if count == places and hasattr(self.example, "begin_reset"):
-            self._each("reset", begin, range(count))
+        if count == places:
+            self._each("reset", begin, filter(self._is_elsewhere, range(count)))
         self._each("reset", reset, range(count))
         running.episodes = np.array([next(_NUMBERS) for _ in range(count)], dtype=np.int64)
         return self._batch()
@@ -201,11 +201,15 @@ class SideBySide:
             values, ended = running.environments[row].step(*given[row])
             running.values[row], running.ended[row] = self._checked(values), bool(ended)
 
-        if hasattr(self.example, "begin_step"):
-            self._each("step", begin, going)
+        self._each("step", begin, filter(self._is_elsewhere, going))
         self._each("step", step, going)
         running.step += 1
         return self._batch()
+
+    def _is_elsewhere(self, row: int) -> bool:
+        """Whether it is an environment of another process, which can begin and be waited for."""
+        environment = self.running.environments[row]
+        return hasattr(environment, "begin_reset") and hasattr(environment, "begin_step")
 
     def _each(self, what: str, call: Callable[[int], None], rows: Iterable[int]) -> None:
         """One environment after the other; what one raises names its rollout."""

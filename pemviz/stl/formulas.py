@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal, NoReturn, TypeAlias
 
 from pemviz.errors import InputError
 
@@ -222,6 +222,13 @@ class Maximum(_Extreme):
 @dataclass(frozen=True)
 class Formula(Node):
     """Something that holds or fails at every step of a rollout."""
+
+    def __bool__(self) -> NoReturn:
+        """Refuse Python's ``and`` and ``or``, which would pass over one of two formulas."""
+        raise FormulaError(
+            f"formula ({shorten(self)}) has no truth value in Python: combine formulas in their "
+            "text, with and, or, not"
+        )
 
     def horizon_steps(self) -> int:
         """How many steps past step t decide the formula at t.

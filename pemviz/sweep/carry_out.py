@@ -179,11 +179,13 @@ def read_finished(runs: Path, planned: PlannedRun, *, keep: Keep) -> Estimate | 
     if keep == "all" and not all((folder / name).is_file() for name in ALL_FILES):
         return None
     try:
-        if (folder / "config.toml").read_bytes() != config_text(planned.config).encode():
-            return None
-        result = read_result(folder)
+        config = (folder / "config.toml").read_bytes()
     except OSError:
         return None
+    if config != config_text(planned.config).encode():
+        return None
+    try:
+        result = read_result(folder)
     except InputError as error:
         if has_result(folder):
             LOG.warning("%s; the run counts as not done", error)

@@ -21,7 +21,7 @@ from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, shipped_pems, shippe
 from pemviz.processes import ONE_THREAD
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out as carry_out_kept
+from pemviz.runs.run_folder import carry_out as carry_out_kept
 from pemviz.sweep.plan import PlannedRun
 
 Keep = Literal["results", "all"]

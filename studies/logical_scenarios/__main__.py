@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pemviz.cli.bars import jobs_progress
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.main import carry_out
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.cli.progress import jobs_progress
-from pemviz.cli.reproduce import make_folder, write_files
+from pemviz.cli.reproduce import make_folder, writable, write_files
 from pemviz.errors import EXIT_DONE
 from studies.logical_scenarios import ScenarioStudySettings, study_scenarios
 
@@ -83,7 +83,8 @@ def run(words: Sequence[str]) -> int:
         made = study_scenarios(
             settings, out / CELLS, on_progress=on_progress, should_stop=should_stop
         )
-    write_files(made.files(), out)
+    with writable(out):
+        write_files(made.files(), out)
     print(made.page)
     print(f"pemviz: written to {out}", file=sys.stderr)
     return EXIT_DONE

@@ -4,7 +4,7 @@ import pytest
 
 import pemviz
 from pemviz.config import ScenarioConfig
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from tests.sampling.test_slots import BY_SLOT, GhostBrake
 
 RULES = {"moves": "always[0,15] (speed >= 0.5)", "hits-not": "always[0,15] (gap >= 0.5)"}

@@ -15,7 +15,7 @@ from pemviz.export.formats import METADATA, csv_bytes, parquet_bytes
 from pemviz.export.rollout import read_ranked_rollout
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from tests.export.conftest import RULES
 from tests.latent_toys import Drift
 from tests.runs import test_rules

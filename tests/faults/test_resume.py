@@ -17,8 +17,8 @@ from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.store import carry_out, run_lock
-from pemviz.sampling.rollouts.batches import run_here
+from pemviz.runs.run_folder import carry_out, run_lock
+from pemviz.sampling.rollouts.runners import run_here
 from tests.comparable_results import comparable_result
 
 SMALL = ExperimentConfig(method="adaptive",

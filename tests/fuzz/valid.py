@@ -22,7 +22,7 @@ from pemviz.proposals.gap_network import GapNetwork
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 from studies.synthetic_obstacles import synthetic_table
 from tests.toy import constant_pem
 

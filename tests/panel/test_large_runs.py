@@ -24,7 +24,7 @@ from pemviz.panel.trajectories_tab import details
 from pemviz.panel.weights_tab import drawn_points, least_gaps
 from pemviz.panel.why_tab import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out, create_run_folder
+from pemviz.runs.run_folder import carry_out, create_run_folder
 from tests.comparable_results import without_digests
 from tests.panel.conftest import NAIVE, wait_until
 

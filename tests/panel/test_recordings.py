@@ -20,7 +20,7 @@ from pemviz.panel.rollout_tables import check_table
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts, part_path, write_part
-from pemviz.runs.store import run_lock
+from pemviz.runs.run_folder import run_lock
 from tests.comparable_results import without_digests
 
 CRAFTED = (

@@ -467,9 +467,10 @@ def test_counts_are_whole_numbers_however_large(naive_run):
 
 
 def test_the_answer_is_judged_by_a_limit(naive_run):
-    assert "Gate" not in headline.headline(naive_run)
+    assert "Fail above" not in headline.headline(naive_run)
+    assert "Fail above 1.0 × 10⁻³⁰⁰: " in headline.headline(naive_run, limit=1e-300)
     assert "passed" not in headline.headline(naive_run, limit=1e-300)
     estimate = replace(naive_run.result.estimate, diagnostics=(), ci_high=1e-6)
     run = with_result(naive_run, estimate=estimate, reference=None)
-    assert "Gate passed: " in headline.headline(run, limit=1e-5)
-    assert "Gate tripped: " in headline.headline(run, limit=1e-7)
+    assert "Fail above 1.0 × 10⁻⁵: passed" in headline.headline(run, limit=1e-5)
+    assert "Fail above 1.0 × 10⁻⁷: tripped" in headline.headline(run, limit=1e-7)

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expit, logit
 
+from pemviz.proposals.defensive import defended
 from pemviz.proposals.offset_logistic import (
     LARGEST_SHIFT,
     OffsetLogisticProposal,
     PolynomialBasis,
     SignalFeatures,
-    defended,
     outcome_ratios,
 )
 from pemviz.proposals.offset_logistic_fit import (

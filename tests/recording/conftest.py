@@ -9,7 +9,7 @@ from pemviz.runs.engine import run
 from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.result import RunResult
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 from pemviz.types import StageResult
 from tests.toy import constant_pem
 

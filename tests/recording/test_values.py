@@ -17,7 +17,7 @@ from pemviz.recording.plot import WITHOUT_LEGEND, Axis, Frame, decade_axis
 from pemviz.recording.recorder import CURVE_STEP_M
 from pemviz.recording.worst import outcome_frame
 from pemviz.runs.engine import run
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.rollouts.large_stages import weighed
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M
 from tests.recording.conftest import LEARNING, record, with_blind_pem

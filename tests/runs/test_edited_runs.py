@@ -21,7 +21,7 @@ from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.rollout_files import part_path
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from tests.faults.test_resume import StopAfter, contents
 from tests.runs.test_reading import RULES, SMALL
 from tests.runs.test_result_file import changed, paths

@@ -1,4 +1,5 @@
 import json
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,7 +21,7 @@ from pemviz.runs.events import (
 )
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import result_document
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 from tests.toy import FunctionPem
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -220,3 +221,10 @@ def test_before_anything_carries_an_estimate_the_least_robust_of_all_stages_are_
     stage = stages[worst.stage]
     assert worst.misses == (~stage.scored.rollouts.detected[worst.rollout]).sum()
     assert worst.nll == pytest.approx(-stage.scored.rollouts.log_p[worst.rollout].sum())
+
+
+@pytest.mark.parametrize("metric", ["classical", "smooth-cumulative"])
+def test_an_experiment_can_be_sent_to_another_process(metric):
+    config = ExperimentConfig(method="naive", metric=metric, final_rollouts=20, plan=False)
+    sent = pickle.loads(pickle.dumps(build_experiment(config)))  # noqa: S301  our own
+    assert run(sent).estimate == run_experiment(config).estimate

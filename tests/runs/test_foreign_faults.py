@@ -13,7 +13,7 @@ from pemviz.panel.controller import Controller
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, RunFailed, StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.faults.test_resume import contents, folder_of
 from tests.panel.test_controller import wait_until

@@ -14,7 +14,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from tests.faults.test_resume import StopAfter, contents, folder_of
 
 ALL = ExperimentConfig(stages=1, rollouts=60, final_rollouts=240, seed=4, memory_s=0.2)

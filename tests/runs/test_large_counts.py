@@ -6,10 +6,10 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.runs import store
+from pemviz.runs import run_folder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 
 LARGE = ExperimentConfig(method="monte-carlo", final_rollouts=100_000_000, keep="violations")
 
@@ -38,12 +38,12 @@ def test_more_than_can_be_kept_or_weighed_is_refused_in_a_line(change, fragment)
 def test_a_result_of_many_stages_is_whole_at_the_end_however_rarely_it_is_written(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(store, "ALWAYS_WRITTEN", 2)
-    monkeypatch.setattr(store, "PAUSES", 1e9)
+    monkeypatch.setattr(run_folder, "ALWAYS_WRITTEN", 2)
+    monkeypatch.setattr(run_folder, "PAUSES", 1e9)
     written = []
-    write = store.write_result
+    write = run_folder.write_result
     monkeypatch.setattr(
-        store,
+        run_folder,
         "write_result",
         lambda *given, **files: written.append(given[1]) or write(*given, **files),
     )

@@ -11,7 +11,7 @@ from pemviz.recording.recorder import Recorder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.observers import KeptStages, LeastRobust
 from pemviz.runs.rollout_files import load_rollouts, part_path, sampled_arrays, sampled_of
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.types import SampledRollouts
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages

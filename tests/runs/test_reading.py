@@ -17,7 +17,7 @@ from pemviz.runs.coherence import recount
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result, read_whole_run, run_differs, setting_differences
 from pemviz.runs.result_file import read_kept, write_result
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.sampling.registry import SHIPPED
 from tests.comparable_results import without_digests
 from tests.faults.test_resume import StopAfter, folder_of

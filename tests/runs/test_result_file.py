@@ -25,7 +25,7 @@ from pemviz.runs.result_file import (
     result_from_document,
     write_result,
 )
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 from tests.comparable_results import comparable_result
 from tests.reports.runs import PLAN
 from tests.reports.runs import result as made_up_result

@@ -22,7 +22,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.runs.rollout_files import load_rollouts, stage_files
-from pemviz.runs.store import carry_out, create_run_folder
+from pemviz.runs.run_folder import carry_out, create_run_folder
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator

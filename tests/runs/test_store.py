@@ -13,13 +13,12 @@ from safetensors.numpy import load_file
 from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
-from pemviz.files.json_text import parse_json
 from pemviz.proposals.gap_network import gap_network_from_arrays
 from pemviz.runs import rollout_files
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.observers import KeptStages
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.store import RunStore, create_run_folder
+from pemviz.runs.run_folder import RunStore, create_run_folder
 from tests.comparable_results import comparable_result
 from tests.faults.test_resume import StopAfter
 from tests.runs.test_engine import SMALL
@@ -96,7 +95,11 @@ def test_config_of_a_run_reproduces_it(finished, tmp_path):
 
 
 def test_result_is_strict_json_with_the_contracts_keys(finished):
-    document = parse_json((finished[0] / "result.json").read_text(encoding="utf-8"))
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    text = (finished[0] / "result.json").read_text(encoding="utf-8")
+    document = json.loads(text, parse_constant=refuse)
     assert set(document) >= {
         "schema", "run_id", "status", "seed", "versions", "config", "pem", "estimate",
         "reference", "pem_interval", "sensitivity", "repetitions", "stages", "least_robust",
@@ -117,7 +120,7 @@ import sys
 from pathlib import Path
 from dataclasses import replace
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.store import RunStore
+from pemviz.runs.run_folder import RunStore
 from tests.runs.test_engine import SMALL
 
 run_experiment(replace(SMALL, stages=1000), observers=[RunStore(Path(sys.argv[1]))])

@@ -22,7 +22,7 @@ from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.batches import BatchTask, CompiledRunner, PooledRunner, run_here
+from pemviz.sampling.rollouts.runners import BatchTask, CompiledRunner, PooledRunner, run_here
 from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking import compiled, vectorized
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops, compiled_loops

@@ -13,7 +13,7 @@ from pemviz.runs.events import RolloutsDone, StageDone
 from pemviz.runs.experiment import Experiment, build_experiment, build_method
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.registry import SHIPPED, by_name
-from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.rollouts.runners import run_here
 from tests.toy import constant_pem
 
 EVERY = pytest.mark.parametrize("method", SHIPPED, ids=lambda method: method.name)

@@ -30,9 +30,9 @@ from pemviz.sampling.estimates.diagnostics import (
     unreliable_reference,
     weight_diagnostics,
 )
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate
-from pemviz.sampling.estimates.importance_weights import WeightFigures
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.estimates.weight_diagnostics import WeightFigures
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.sampling.splitting.estimate import died_out, spread_diagnostics, width_diagnostics
 from pemviz.sampling.splitting.method import SplittingSampling

@@ -14,18 +14,20 @@ from scipy import stats
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.estimates.estimate import log_normal_interval, negative_log_likelihood
+from pemviz.sampling.estimates.estimators import log_normal_interval, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import (
+    log_mean_failing_weight,
+    log_std_error,
+    smoothed_weights,
+)
+from pemviz.sampling.estimates.repetitions import summarise_repetitions
+from pemviz.sampling.estimates.weight_diagnostics import (
     effective_sample_size,
     fitted_shape,
     largest_share,
-    log_mean_failing_weight,
-    log_std_error,
     pareto_k_hat,
-    smoothed_weights,
     tail_shape,
 )
-from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.method import elite_threshold, elites
 from tests.toy import exact_failure_probability
 

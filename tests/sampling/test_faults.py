@@ -13,7 +13,7 @@ import pytest
 from pemviz.faults import SimulationError, from_outside, signals_distinguished
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.batches import PooledRunner
+from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.run import split as splitting
 from pemviz.simulators.episodic import side_by_side

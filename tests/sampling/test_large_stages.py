@@ -13,7 +13,7 @@ from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.ranking import LEAST_ROBUST
 from pemviz.sampling.adaptive.method import AdaptiveSampling, FromAll, FromElites
 from pemviz.sampling.direct.method import DirectSampling
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate, monte_carlo_estimate
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate, monte_carlo_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import elite_threshold, elites
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -279,7 +279,7 @@ def test_elites_teach_the_same_to_the_last_bit_in_batches(seed, cuts, level):
 @given(seed=seeds, cuts=anywhere)
 def test_all_teach_the_same_to_the_last_bit_in_batches(seed, cuts):
     scored = stage_of(seed)
-    lesson = FromAll(COUNT)
+    lesson = FromAll.of(COUNT)
     for batch in batches(scored, cuts):
         lesson = lesson.extended(batch)
     learned = lesson.learned(scored.robustness)

@@ -15,7 +15,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from pemviz.sampling.estimates.importance_weights import effective_sample_size
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.mixture.balance_heuristic import balance_weights
 from pemviz.sampling.mixture.fit import smoothing_exponent
 from pemviz.sampling.mixture.method import MixtureSampling

@@ -21,7 +21,7 @@ from pemviz.sampling.mixture.fit import guided_elites
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.stages import components
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.batches import BatchTask
+from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay, simulate
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, outcome_log_likelihood

@@ -8,7 +8,8 @@ from scipy.special import logsumexp
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
-from pemviz.proposals.offset_logistic import OffsetLogisticProposal, share_for
+from pemviz.proposals.defensive import share_for
+from pemviz.proposals.offset_logistic import OffsetLogisticProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
 from pemviz.sampling.mixture.stages import several_rules

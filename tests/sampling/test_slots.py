@@ -10,7 +10,7 @@ import pemviz
 from pemviz.errors import ConfigError
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.store import carry_out
+from pemviz.runs.run_folder import carry_out
 from pemviz.sampling.problem import sample
 from pemviz.sampling.slots import slot_pem
 from pemviz.sampling.zero_variance.method import with_absorbing_violation

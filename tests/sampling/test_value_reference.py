@@ -12,7 +12,7 @@ from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.rollouts.batches import run_here
+from pemviz.sampling.rollouts.runners import run_here
 from pemviz.sampling.zero_variance import reference as reference_module
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.sampling.zero_variance.proposal import averaged, build_zero_variance_proposal

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pemviz import stl
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import InputError
-from pemviz.proposals.offset_logistic import defended
+from pemviz.proposals.defensive import defended
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.simulate import replay

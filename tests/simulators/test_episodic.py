@@ -11,7 +11,7 @@ import pemviz
 from pemviz import LatentCounts, StateBatch
 from pemviz.cli.workers import with_workers
 from pemviz.errors import ConfigError, RunError
-from pemviz.sampling.rollouts.batches import PooledRunner
+from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.simulators.episodic import SideBySide
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.slot_toys import CAMERA, TwoCars

@@ -207,3 +207,25 @@ def test_a_run_goes_on_with_the_same_position_errors_alone(tmp_path):
         match="takes none, only the braking scenario and logical scenarios on vec",
     ):
         pemviz.build_experiment(config, simulator=MissCounter(states=7))
+
+
+def test_runs_without_errors_know_of_none():
+    experiment = pemviz.build_experiment(replace(load_preset("paper"), plan=False))
+    assert experiment.back_end.position_errors is None
+    states = experiment.back_end.simulator.initial(count=2)
+    assert experiment.features.values(states).shape == (2, 3)
+
+
+@pytest.mark.parametrize("tracker", ["none", "2/3"])
+def test_without_a_tracker_the_gap_to_a_missed_car_is_not_measured(tracker, monkeypatch):
+    evaluated = []
+    monkeypatch.setattr(
+        type(SHIPPED),
+        "range_error",
+        lambda self, salient, noise: evaluated.append(len(noise)) or np.full(len(noise), 0.5),
+    )
+    simulator = VectorizedSimulator(replace(PAPER, tracker=tracker), SHIPPED)
+    draws, states = drawn(40, seed=7), simulator.initial(count=40)
+    detected, noise = draws["detected"][:, 0], draws["noise"][:, 0]
+    simulator.perceived(states, detected, noise)
+    assert evaluated == [detected.sum() if tracker == "none" else 40]

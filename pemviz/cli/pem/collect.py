@@ -8,11 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, cast, get_args
 
-from pemviz.cli.progress import progress_bar
+from pemviz.cli.bars import progress_bar
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
-    PAPER_IOU,
     CollectedCounts,
     CollectOptions,
     collect,
@@ -20,6 +19,7 @@ from pemviz.pem.data.collect import (
 )
 from pemviz.pem.data.detections import DetectionFormat, SequenceFormat
 from pemviz.pem.data.mapped_log import collect_log
+from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 
@@ -97,6 +97,15 @@ def run(arguments: CollectArguments) -> int:
         skip_bad=arguments.skip_bad,
     )
     _check_matching(arguments)
+    if arguments.mapping is not None:
+        log = collect_log(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            mapping=arguments.mapping,
+            out=arguments.out,
+            skip_bad=arguments.skip_bad,
+        )
+        return _report(arguments.out, log, f"{log.obstacles} obstacles, {log.missed} missed")
     if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
         _check_sequences(arguments)
         unit = "sequences"
@@ -104,7 +113,11 @@ def run(arguments: CollectArguments) -> int:
         unit = "samples" if arguments.format == "nuscenes" else "frames"
     with progress_bar(unit) as on_progress:
         counts, words = _collected(arguments, options, on_progress)
-    print(f"{arguments.out}: {words}")
+    return _report(arguments.out, counts, words)
+
+
+def _report(out: Path, counts: CollectedCounts, words: str) -> int:
+    print(f"{out}: {words}")
     if counts.bad_lines:
         print(
             f"warning: {counts.bad_lines} malformed lines skipped, the first: {counts.first_bad}",
@@ -118,15 +131,6 @@ def _collected(
 ) -> tuple[CollectedCounts, str]:
     """What was counted on the way to the table, and what of it is said."""
     labels, detections, out = arguments.labels, arguments.detections, arguments.out
-    if arguments.mapping is not None:
-        log = collect_log(
-            labels=labels,
-            detections=detections,
-            mapping=arguments.mapping,
-            out=out,
-            skip_bad=arguments.skip_bad,
-        )
-        return log, f"{log.obstacles} obstacles, {log.missed} missed"
     if arguments.format == "nuscenes":
         samples = collect_nuscenes(
             labels=labels,

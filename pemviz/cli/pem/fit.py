@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray
+from pemviz.cli.bars import progress_bar
 from pemviz.cli.pem.memory import fitted_memory
 from pemviz.cli.pem.position_errors import write_position_errors
-from pemviz.cli.progress import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing

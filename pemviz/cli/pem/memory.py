@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pemviz.cli.progress import progress_bar
+from pemviz.cli.bars import progress_bar
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import TrackTable, load_tracks

@@ -11,10 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-from scipy.optimize import linear_sum_assignment
-
-from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder, write_text
 from pemviz.files.text_files import writing
@@ -35,12 +31,11 @@ from pemviz.pem.data.kitti_labels import (
     read_labels,
     read_tracking_labels,
 )
+from pemviz.pem.data.matching import PAPER_IOU, assign_boxes
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
-PAPER_IOU = 0.01
-"""Overlap above which the paper's authors counted a pair as a detection."""
 OBSTACLE_COLUMNS = ("type", *SALIENT_COLUMNS, OUTCOME_COLUMN)
 CLASS_ID = {name: index for index, name in enumerate(TYPES)}
 NUMBERED_CLASSES = TYPES[:-1]
@@ -296,41 +291,6 @@ def _match(
     )
     for overlap, partner in zip(overlaps.tolist(), partners.tolist(), strict=True):
         yield overlap, kept[partner] if partner >= 0 else None
-
-
-def assign_boxes(
-    obstacles: Sequence[Box],
-    detections: Sequence[Box],
-    *,
-    types: tuple[Sequence[str], Sequence[str]] | None = None,
-) -> tuple[FloatArray, IntArray]:
-    """IoU of each obstacle with the detection assigned to it or 0, and which one it is or -1.
-
-    Each box has at most one partner; the assignment maximises the sum of overlaps (Kuhn's
-    Hungarian method, by scipy). With the classes of both only boxes of the same class may be
-    partners.
-    """
-    result = np.zeros(len(obstacles))
-    partner = np.full(len(obstacles), -1, dtype=np.int64)
-    if not obstacles or not detections:
-        return result, partner
-    overlap = iou(np.asarray(obstacles, dtype=np.float64), np.asarray(detections, dtype=np.float64))
-    if types is not None:
-        overlap *= np.asarray(types[0])[:, None] == np.asarray(types[1])[None, :]
-    rows, columns = linear_sum_assignment(overlap, maximize=True)
-    result[rows] = overlap[rows, columns]
-    partner[rows] = columns
-    return result, partner
-
-
-def iou(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Intersection over union of boxes [n, 4] and [m, 4] (left, top, right, bottom), [n, m]."""
-    upper_left = np.maximum(first[:, None, :2], second[None, :, :2])
-    lower_right = np.minimum(first[:, None, 2:], second[None, :, 2:])
-    intersection = np.prod(np.maximum(lower_right - upper_left, 0.0), axis=-1)
-    area, other = (np.prod(boxes[:, 2:] - boxes[:, :2], axis=-1) for boxes in (first, second))
-    union = area[:, None] + other[None, :] - intersection
-    return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0.0)
 
 
 def _is_unknown(obstacle: Obstacle) -> bool:

@@ -22,7 +22,7 @@ from pemviz.arrays import Batch, BoolArray, FloatArray
 from pemviz.proposals import gap_network
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.gap_network import GapNetwork, OutcomeTable
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.method import (
     VIOLATION_THRESHOLD,
@@ -58,18 +58,27 @@ class Learned:
 
 @dataclass(frozen=True)
 class FromAll:
-    """All of ``count`` rollouts are learned from equally, each as soon as it is sampled."""
+    """All rollouts are learned from equally, each as soon as it is sampled.
 
-    count: int
+    Attributes:
+        weight: Of each, in (0, 1].
+        table: Of those sampled so far.
+    """
+
+    weight: float
     table: OutcomeTable = field(default_factory=OutcomeTable)
+
+    @staticmethod
+    def of(count: int) -> "FromAll":
+        """Before the first of ``count`` rollouts."""
+        return FromAll(float(smoothed_weights(np.zeros(count), alpha=0.0)[0]))
 
     def extended(self, batch: ScoredRollouts) -> "FromAll":
         """With the next rollouts."""
-        weight = float(smoothed_weights(np.zeros(self.count), alpha=0.0)[0])
         table = self.table.with_rollouts(
             gap_m=_gap_m(batch),
             detected=batch.rollouts.detected,
-            rollout_weight=np.full(batch.rollouts.count, weight),
+            rollout_weight=np.full(batch.rollouts.count, self.weight),
         )
         return replace(self, table=table)
 
@@ -285,7 +294,7 @@ class AdaptiveSampling:
         if finished is not None:
             problem.progress(self.rollouts, self.rollouts)
             return self._restored(state, proposal, finished)
-        lesson: FromAll | FromElites = FromAll(self.rollouts)
+        lesson: FromAll | FromElites = FromAll.of(self.rollouts)
         if state.stage > 0:
             lesson = FromElites.of(self.rollouts, sigma=self.sigma, alpha=self.alpha)
         held: Thinned | Whole = Whole()

@@ -40,13 +40,10 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.bursts import reweighting
 from pemviz.sampling.bursts.reweighting import FittedAround, Given, Sampled, Scenario
 from pemviz.sampling.estimates.diagnostics import not_absorbing, weight_diagnostics
-from pemviz.sampling.estimates.estimate import log_normal_interval, log_stratified_error
-from pemviz.sampling.estimates.importance_weights import (
-    effective_sample_size,
-    log_mean_failing_weight,
-    weight_figures,
-)
+from pemviz.sampling.estimates.estimators import log_normal_interval, log_stratified_error
+from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
 from pemviz.sampling.estimates.trust import caveats
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size, weight_figures
 from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.fit import FitSettings, failing_elites, fitted, smoothed
 from pemviz.sampling.problem import Problem

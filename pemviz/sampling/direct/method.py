@@ -10,7 +10,7 @@ With p the perception error model and c a constant detection probability, of N r
 from dataclasses import dataclass, replace
 
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate, monte_carlo_estimate
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate, monte_carlo_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, part_sizes

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pemviz.sampling.estimates.importance_weights import WeightFigures
+from pemviz.sampling.estimates.weight_diagnostics import WeightFigures
 from pemviz.types import Diagnostic, DiagnosticKind, Estimate
 
 IntervalBasis = Literal["counts", "weights", "runs"]

@@ -11,7 +11,7 @@ from pemviz.sampling.estimates.diagnostics import (
     count_diagnostics,
     repetition_diagnostics,
 )
-from pemviz.sampling.estimates.estimate import CONFIDENCE, log_normal_interval
+from pemviz.sampling.estimates.estimators import CONFIDENCE, log_normal_interval
 from pemviz.sampling.registry import by_name
 from pemviz.types import Diagnostic, Estimate
 

@@ -15,12 +15,9 @@ from pemviz.sampling.estimates.diagnostics import (
     undermining,
     weight_diagnostics,
 )
-from pemviz.sampling.estimates.estimate import log_normal_interval, monte_carlo_estimate
-from pemviz.sampling.estimates.importance_weights import (
-    log_mean_failing_weight,
-    log_std_error,
-    weight_figures,
-)
+from pemviz.sampling.estimates.estimators import log_normal_interval, monte_carlo_estimate
+from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_std_error
+from pemviz.sampling.estimates.weight_diagnostics import weight_figures
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import weighed
 from pemviz.types import Diagnostic, Estimate, SampledRollouts, ScoredRollouts

@@ -13,7 +13,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
-from pemviz.sampling.estimates.estimate import (
+from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
     importance_sampling_estimate,

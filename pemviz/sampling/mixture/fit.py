@@ -22,11 +22,8 @@ from pemviz.proposals.offset_logistic_fit import (
     fit_offset_logistic,
     leave_one_out_loss,
 )
-from pemviz.sampling.estimates.importance_weights import (
-    effective_sample_size,
-    log_sum,
-    smoothed_weights,
-)
+from pemviz.sampling.estimates.importance_weights import log_sum, smoothed_weights
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_ratios
 from pemviz.sampling.mixture.failure_modes import (

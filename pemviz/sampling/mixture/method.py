@@ -49,7 +49,7 @@ from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
-from pemviz.sampling.estimates.estimate import mixture_estimate
+from pemviz.sampling.estimates.estimators import mixture_estimate
 from pemviz.sampling.method import final_stage, finished_or, stage_seeds
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool

@@ -26,6 +26,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.faults import counted_from
 from pemviz.proposals import latent_moves
 from pemviz.proposals import offset_logistic as logistic
+from pemviz.proposals.defensive import share_for
 from pemviz.proposals.exploration import (
     ExplorationFamily,
     ExplorationProposal,
@@ -331,7 +332,7 @@ def _divided(
 
 def defence(steps: int) -> float:
     """Share of the error model in every outcome's probability, for rollouts of ``steps``."""
-    return logistic.share_for(drawn_steps=DEFENSIVE_STEPS, steps=steps)
+    return share_for(drawn_steps=DEFENSIVE_STEPS, steps=steps)
 
 
 @dataclass(frozen=True)

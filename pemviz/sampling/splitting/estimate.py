@@ -18,7 +18,7 @@ from scipy.special import chdtri, ndtri, stdtrit
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, undermining
-from pemviz.sampling.estimates.estimate import CONFIDENCE, negative_log_likelihood
+from pemviz.sampling.estimates.estimators import CONFIDENCE, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.kept import EVERY, FIGURES, KeptRepetition, Recounted
 from pemviz.sampling.splitting.run import RunFigures, SplittingRun

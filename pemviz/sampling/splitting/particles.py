@@ -16,7 +16,7 @@ from pemviz.errors import ConfigError
 from pemviz.faults import of_no_rollouts, reordered
 from pemviz.latents import Latents
 from pemviz.sampling.problem import Problem, ranked
-from pemviz.sampling.rollouts.batches import check_numbers
+from pemviz.sampling.rollouts.runners import check_numbers
 from pemviz.sampling.rollouts.simulate import logit_of
 from pemviz.sampling.slots import unrolled
 from pemviz.sampling.splitting.importance import (

@@ -25,7 +25,7 @@ from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import VisibilityNodes, log_sums
-from pemviz.proposals.offset_logistic import defended
+from pemviz.proposals.defensive import defended
 from pemviz.proposals.zero_variance import ZeroVarianceProposal, cell_keys
 from pemviz.sampling.state.composed import (
     ComposedPem,

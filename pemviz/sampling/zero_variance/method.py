@@ -19,7 +19,7 @@ from pemviz.errors import InputError
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.zero_variance import ZeroVarianceProposal
 from pemviz.sampling.estimates.diagnostics import called_safe
-from pemviz.sampling.estimates.estimate import importance_sampling_estimate
+from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, part_sizes

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
 from pemviz.pem.models.protocol import Pem
-from pemviz.proposals.offset_logistic import share_for
+from pemviz.proposals.defensive import share_for
 from pemviz.proposals.zero_variance import (
     CellTable,
     ZeroVarianceProposal,

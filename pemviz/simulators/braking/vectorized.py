@@ -63,7 +63,7 @@ class VectorizedSimulator(BrakingScenario):
     def compiled_rollouts(
         self, logit: Callable[[FloatArray], FloatArray]
     ) -> Callable[[FloatArray], RolloutBatch] | None:
-        """As :class:`pemviz.sampling.rollouts.batches.CompilesRollouts` has it."""
+        """As :class:`pemviz.sampling.rollouts.runners.CompilesRollouts` has it."""
         if type(self) is not VectorizedSimulator or self.tracker or self.errors:
             return None
         kernels = compiled_loops()

@@ -10,13 +10,12 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.binomial import exact_interval
 from pemviz.sampling.estimates.diagnostics import count_diagnostics, weight_diagnostics
 from pemviz.sampling.estimates.importance_weights import (
-    WeightFigures,
     log_mean_failing_weight,
     log_mean_weight,
     log_std_error,
     log_sum,
-    weight_figures,
 )
+from pemviz.sampling.estimates.weight_diagnostics import WeightFigures, weight_figures
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 

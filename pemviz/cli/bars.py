@@ -1,0 +1,53 @@
+"""Bars on standard error, of anything that takes long; what a run says of itself is in progress."""
+
+import contextlib
+from collections.abc import Callable, Generator
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+
+def bar(console: Console, *counted: ProgressColumn, disable: bool = False) -> Progress:
+    """A bar that goes when it is done: what is under way, how far it is, the time left.
+
+    Args:
+        console: Where it is shown.
+        counted: Columns that say how far in numbers.
+        disable: Show nothing.
+    """
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted,
+               TimeRemainingColumn(), TextColumn("left"))  # fmt: skip
+    return Progress(*columns, console=console, transient=True, disable=disable)
+
+
+@contextlib.contextmanager
+def progress_bar(what: str) -> Generator[Callable[[int, int], None]]:
+    """Yield a function that takes (steps done, steps in all); nothing but on a terminal."""
+    console = Console(stderr=True)
+    # elsewhere than on a terminal rich would leave an empty line
+    with bar(console, MofNCompleteColumn(), disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+@contextlib.contextmanager
+def jobs_progress() -> Generator[Callable[[int, int, str], None]]:
+    """Yield a function that takes (jobs done, jobs in all, label): a bar, or a line a job."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda done, total, label: console.print(
+            f"{done} of {total}: {label}", highlight=False, markup=False, soft_wrap=True
+        )
+        return
+    with bar(console, MofNCompleteColumn()) as progress:
+        task = progress.add_task("starting", total=None)
+        yield lambda done, total, label: progress.update(
+            task, completed=done, total=total, description=label
+        )
