@@ -16,8 +16,8 @@ from pemviz.config.toml_files import load_preset
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.specification import build_metric
-from pemviz.sampling.method import stage_seeds
 from pemviz.sampling.problem import sample
+from pemviz.sampling.seeds import stage_seeds
 from pemviz.sampling.zero_variance.reference import Reference, reference
 from pemviz.types import Estimate, Proposal, Simulator
 

@@ -10,6 +10,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample
+from pemviz.sampling.seeds import stage_seeds
 from pemviz.types import Estimate, Proposal, SampledRollouts, ScoredRollouts, StageResult
 
 State = TypeVar("State")
@@ -71,11 +72,6 @@ class AnswersRules(Protocol[State]):
         ...
 
 
-def stage_seeds(*, seed: int, repetition: int, stage: int) -> np.random.SeedSequence:
-    """The seed sequence of one stage; depends on nothing but these three numbers."""
-    return np.random.SeedSequence(seed, spawn_key=(repetition, stage))
-
-
 def sample_stage(
     problem: Problem,
     *,
@@ -113,12 +109,6 @@ def finished_or(
     count = finished.scored.rollouts.count
     problem.progress(count, count)
     return finished.scored
-
-
-def network_seed(*, seed: int, repetition: int) -> int:
-    """A 63-bit seed for the proposal network's initial weights."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(repetition, 2**32 - 1))
-    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def final_stage(

@@ -29,13 +29,12 @@ from pemviz.sampling.method import (
     elite_threshold,
     elites,
     final_stage,
-    network_seed,
     sample_stage,
-    stage_seeds,
 )
 from pemviz.sampling.problem import FinishedStage, Problem, sample_batches
 from pemviz.sampling.rollouts import large_stages
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, Thinned, Whole
+from pemviz.sampling.seeds import network_seed, stage_seeds
 from pemviz.types import Estimate, Proposal, ScoredRollouts, StageResult
 
 LOSS = "loss"

@@ -1,11 +1,4 @@
-"""Importance weights in log space; a weight that underflows stays in every average as 0.
-
-Their tail is judged by the generalised Pareto distribution that fits the largest: Zhang & Stephens,
-'A new and efficient estimation method for the generalized Pareto distribution', Technometrics 2009,
-with the prior for the shape of Vehtari, Simpson, Gelman, Yao & Gabry, 'Pareto smoothed importance
-sampling', JMLR 2024, appendix C. To the last bit what arviz-stats gives, whose import takes more
-than half a second.
-"""
+"""Importance weights in log space; a weight that underflows stays in every average as 0."""
 
 import numpy as np
 

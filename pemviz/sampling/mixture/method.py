@@ -50,7 +50,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimators import mixture_estimate
-from pemviz.sampling.method import final_stage, finished_or, stage_seeds
+from pemviz.sampling.method import final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
@@ -59,6 +59,7 @@ from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
+from pemviz.sampling.seeds import stage_seeds
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 

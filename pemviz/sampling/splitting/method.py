@@ -21,9 +21,10 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.method import final_stage, stage_seeds
+from pemviz.sampling.method import final_stage
 from pemviz.sampling.problem import FinishedStage, Problem
 from pemviz.sampling.rollouts.large_stages import log_p_of
+from pemviz.sampling.seeds import stage_seeds
 from pemviz.sampling.splitting.estimate import SHARED, columns_of, estimate_of_runs
 from pemviz.sampling.splitting.run import SplittingRun, split
 from pemviz.types import Estimate, StageResult
