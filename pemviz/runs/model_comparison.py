@@ -139,7 +139,7 @@ def _unreliable_because(log_weight: FloatArray, count: int) -> tuple[str, ...]:
         (log_sum(log_weight) - math.log(count)) / math.log(10.0) if log_weight.size else None
     )
     found = weight_diagnostics(
-        weight_figures(log_weight),
+        weight_figures(log_weight, of=count),
         failures=log_weight.size,
         rollouts=count,
         log10_probability=log10_probability,

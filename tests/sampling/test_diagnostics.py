@@ -17,6 +17,7 @@ from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import (
     FEW_FAILURES,
     LARGE_SHARE,
+    LIGHT_LOAD,
     MEANINGS,
     RELIABLE_PARETO_K,
     SMALL_ESS,
@@ -32,7 +33,7 @@ from pemviz.sampling.estimates.diagnostics import (
 )
 from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
-from pemviz.sampling.estimates.weight_diagnostics import WeightFigures
+from pemviz.sampling.estimates.weight_diagnostics import WeightFigures, weight_figures
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.sampling.splitting.estimate import died_out, spread_diagnostics, width_diagnostics
 from pemviz.sampling.splitting.method import SplittingSampling
@@ -111,17 +112,73 @@ def test_a_heavy_tail():
     assert interval_caveats(found)[-1] == f"Pareto k-hat is {found.pareto_k:.2f}"
 
 
+def test_a_tail_of_ties_that_carries_little_is_no_diagnosis():
+    """As few chains of outcomes make it: 906 weights of 1, and 94 of four kinds above it.
+
+    These are the tail, whose excess is 5 + 10 / 100 + 25e-4 + 54e-6. Of 1,200 rollouts the rest,
+    1,000 weights of 1, has the variance of a count: 1000 x 200 / 1200.
+    """
+    kinds_above = [np.full(54, 1e-6), np.full(25, 1e-4), np.full(10, 0.01), np.full(5, 1.0)]
+    weight = 1.0 + np.concatenate([np.zeros(906), *kinds_above])
+    figures = weight_figures(np.log(weight), of=1_200)
+    assert figures.pareto_k > 2.0
+    assert figures.tail_load == pytest.approx(5.102554 / math.sqrt(1000 * 200 / 1200))
+    assert kinds(weighted(weight, rollouts=1_200)) == []
+    # where all fail there is no chance in the rest
+    assert kinds(weighted(weight, rollouts=1_000)) == ["heavy-tail"]
+
+
+@pytest.mark.parametrize(("largest", "heavy"), [(0.9, False), (19.0, True)])
+def test_the_same_shape_is_no_diagnosis_where_it_is_scaled_down(largest, heavy):
+    """Bounded weights, as a defensive share of 5 % makes them: none is above 20.
+
+    A tail of 94 in steps of a ratio r carries (1 - r^94) / (1 - r) times its largest excess, and
+    1,000 of 100,000 have a variance of 1000 x 0.99.
+    """
+    ratio = 1e-7 ** (1 / 93)
+    weight = 1.0 + np.concatenate([np.zeros(906), largest * ratio ** np.arange(94)])
+    figures = weight_figures(np.log(weight), of=100_000)
+    assert figures.pareto_k > 4.0
+    carried = largest * (1.0 - ratio**94) / (1.0 - ratio)
+    assert figures.tail_load == pytest.approx(carried / math.sqrt(990.0))
+    assert kinds(weighted(weight, rollouts=100_000)) == ["heavy-tail"] * heavy
+
+
+def test_the_error_of_rounding_is_no_tail():
+    """1 in every rollout, but for the last digits: nothing else could make an error at all."""
+    digits = np.random.default_rng(2).standard_cauchy(1_000) * 1e-15
+    figures = weight_figures(digits, of=1_000)
+    assert figures.pareto_k > RELIABLE_PARETO_K
+    assert kinds(weighted(np.exp(digits), rollouts=1_000)) == []
+
+
+@pytest.mark.parametrize("shape", [0.8, 0.9, 1.5])
+@pytest.mark.parametrize(("failing", "rollouts"), [(100, 110), (100, 300), (1_000, 3_000)])
+def test_what_a_pareto_tail_is_warned_of_it_is_warned_of_still(shape, failing, rollouts):
+    """All of 100 samples whose k-hat is above 0.7: such a tail always carries enough."""
+    generator = np.random.default_rng(4)
+    for _ in range(100):
+        excess = stats.genpareto.rvs(shape, size=failing, random_state=generator)
+        figures = weight_figures(np.log1p(0.5 * excess), of=rollouts)
+        if figures.pareto_k > RELIABLE_PARETO_K:
+            assert figures.tail_load > LIGHT_LOAD
+
+
 @pytest.mark.parametrize(
     ("figures", "kind"),
     [
         ({"max_weight_share": math.nextafter(LARGE_SHARE, 1.0)}, "large-weight"),
         ({"ess": math.nextafter(SMALL_ESS, 0.0)}, "few-effective-samples"),
-        ({"pareto_k": math.nextafter(RELIABLE_PARETO_K, 1.0)}, "heavy-tail"),
+        ({"pareto_k": math.nextafter(RELIABLE_PARETO_K, 1.0), "tail_load": 5.0}, "heavy-tail"),
+        ({"pareto_k": 5.0, "tail_load": math.nextafter(LIGHT_LOAD, 2.0)}, "heavy-tail"),
     ],
 )
 def test_limits_themselves_are_allowed(figures, kind):
     at_the_limits = WeightFigures(
-        ess=SMALL_ESS, pareto_k=RELIABLE_PARETO_K, max_weight_share=LARGE_SHARE
+        ess=SMALL_ESS,
+        pareto_k=RELIABLE_PARETO_K,
+        max_weight_share=LARGE_SHARE,
+        tail_load=LIGHT_LOAD,
     )
     asked = {"failures": 40, "rollouts": 100, "log10_probability": -15.0}
     assert weight_diagnostics(at_the_limits, **asked) == ()
@@ -228,7 +285,7 @@ def test_a_mean_below_doubles_says_so():
 
 def one_of_each_kind():
     """Kind to its diagnostics, made where methods make them."""
-    figures = WeightFigures(ess=2.0, pareto_k=1.0, max_weight_share=0.5)
+    figures = WeightFigures(ess=2.0, pareto_k=1.0, max_weight_share=0.5, tail_load=5.0)
     asked = {"rollouts": 100, "upper": 0.03, "confidence": 0.95}
     estimate = weighted(np.ones(30))
     every = [

@@ -284,7 +284,7 @@ def _point(scenario: Scenario, sampled: Sampled, place: int, *, late: slice) -> 
     memory, pool = scenario.memories[place], reweighting.seen_at(scenario, sampled, place)
     log_weight, violated = pool.log_weight, pool.violated
     failures = int(violated.sum())
-    figures = weight_figures(log_weight[violated])
+    figures = weight_figures(log_weight[violated], of=sampled.count)
     log_mean = log_mean_failing_weight(log_weight, violated)
     wrong = weight_diagnostics(
         figures,

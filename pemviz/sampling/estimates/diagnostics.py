@@ -18,7 +18,10 @@ of importance weights and their spread, or a mean of independent runs, whose rol
 weights, and how far the runs differ."""
 
 RELIABLE_PARETO_K = 0.7
-"""Above it an average of weights is not to be trusted (Vehtari et al. 2024)."""
+"""Above it an average of weights is not to be trusted (Vehtari et al. 2024), if the tail carries
+what matters."""
+LIGHT_LOAD = 1.96
+"""Standard errors, the half-width of a 95 % interval, within which what a tail carries does not."""
 LARGE_SHARE = 0.2
 SMALL_ESS = 10.0
 
@@ -176,6 +179,7 @@ def weight_diagnostics(
 
 def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagnostic]:
     share, ess, k_hat = figures.max_weight_share, figures.ess, figures.pareto_k
+    loaded = figures.tail_load is not None and figures.tail_load > LIGHT_LOAD
     found: list[Diagnostic] = []
     if share is not None and share > LARGE_SHARE:
         text = f"one rollout carries {share:.0%} of the weight: do not quote this number"
@@ -186,7 +190,7 @@ def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagno
             f"(effective sample size)"
         )
         found.append(Diagnostic("few-effective-samples", ess, SMALL_ESS, text))
-    if k_hat is not None and k_hat > RELIABLE_PARETO_K:
+    if k_hat is not None and k_hat > RELIABLE_PARETO_K and loaded:
         text = (
             f"the weights' tail is too heavy (Pareto k-hat {k_hat:.2f}, reliable up to "
             f"{RELIABLE_PARETO_K}): the true value may lie outside the interval"
@@ -338,7 +342,8 @@ def repetition_diagnostics(
 def _of_repetition(estimate: Estimate) -> Sequence[Diagnostic]:
     """A repetition's diagnostics by its figures, whatever its method; then the method's own."""
     none = Diagnostic("no-failure", 0.0, 1.0, "no failure was seen")
-    figures = WeightFigures(estimate.ess, estimate.pareto_k, estimate.max_weight_share)
+    # what a tail carries is not kept, only whether that was too much: among the method's own
+    figures = WeightFigures(estimate.ess, None, estimate.max_weight_share, None)
     by_figures = [
         *([] if estimate.failures else [none]),
         *_uneven_weights(figures, failures=estimate.failures),

@@ -15,12 +15,11 @@ from pemviz.sampling.estimates.importance_weights import (
     log_std_error,
     log_sum,
 )
-from pemviz.sampling.estimates.weight_diagnostics import WeightFigures, weight_figures
+from pemviz.sampling.estimates.weight_diagnostics import ROUNDING, WeightFigures, weight_figures
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 
 CONFIDENCE = 0.95
-ROUNDING = 1e-9
 ADAPTATION = 1.15
 """Factor on the standard error of rollouts whose proposals were fitted to one another.
 
@@ -49,7 +48,7 @@ def monte_carlo_estimate(rollouts: WeighedRollouts, *, method: str) -> Estimate:
         log10_probability=math.log10(probability) if failures else None,
         std_error=math.sqrt(probability * (1.0 - probability) / count) if failures else None,
         interval=interval,
-        figures=weight_figures(rollouts.log_weight),
+        figures=weight_figures(rollouts.log_weight, of=count),
         diagnostics=count_diagnostics(
             failures=failures, rollouts=count, upper=interval[1], confidence=CONFIDENCE
         ),
@@ -107,7 +106,8 @@ def mixture_estimate(
 
 def _average(rollouts: WeighedRollouts, *, method: str, log_error: float) -> Estimate:
     """The average weight of violations, whose standard error has a logarithm that is known."""
-    failures, figures = rollouts.failures, weight_figures(rollouts.log_weight)
+    failures = rollouts.failures
+    figures = weight_figures(rollouts.log_weight, of=rollouts.count)
     log_probability = log_mean_weight(rollouts.log_weight, of=rollouts.count)
     log10_probability, std_error, interval = None, None, (None, None)
     if failures:

@@ -116,7 +116,7 @@ def stage_interval(
     relative_error = math.exp(log_error - log_probability)
     low, high = log_normal_interval(log_probability, relative_error=relative_error)
     diagnostics = weight_diagnostics(
-        weight_figures(log_weight[violated]),
+        weight_figures(log_weight[violated], of=violated.size),
         failures=int(violated.sum()),
         rollouts=violated.size,
         log10_probability=log_probability / math.log(10.0),

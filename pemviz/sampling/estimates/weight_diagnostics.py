@@ -5,6 +5,10 @@ Their tail is judged by the generalised Pareto distribution that fits the larges
 with the prior for the shape of Vehtari, Simpson, Gelman, Yao & Gabry, 'Pareto smoothed importance
 sampling', JMLR 2024, appendix C. To the last bit what arviz-stats gives, whose import takes more
 than half a second.
+
+The shape is the same whatever is added to all weights, and the average is not: of weights that are
+all but equal, or tied as those of few chains of outcomes are, a tail of any shape may carry next to
+nothing. So beside its shape stands how much it carries.
 """
 
 from dataclasses import dataclass
@@ -15,18 +19,22 @@ from pemviz.arrays import FloatArray, log_sum_exp
 from pemviz.sampling.estimates.importance_weights import log_sum
 
 MINIMUM_TAIL = 5
+ROUNDING = 1e-9
+"""Relative, of weights that are products over many steps."""
 
 
 @dataclass(frozen=True)
 class WeightFigures:
     """How evenly the failing rollouts' weights are spread; ``None`` where undefined.
 
-    See :func:`effective_sample_size`, :func:`pareto_k_hat` and :func:`largest_share`.
+    See :func:`effective_sample_size`, :func:`pareto_k_hat`, :func:`largest_share` and
+    :func:`tail_load`.
     """
 
     ess: float | None
     pareto_k: float | None
     max_weight_share: float | None
+    tail_load: float | None
 
 
 def effective_sample_size(log_weight: FloatArray) -> float:
@@ -39,14 +47,16 @@ def largest_share(log_weight: FloatArray) -> float:
     return float(np.exp(np.max(log_weight) - log_sum(log_weight)))
 
 
-def weight_figures(failing_log_weight: FloatArray) -> WeightFigures:
-    """Figures of the log weights ``[M]`` of the failing rollouts; M may be 0."""
+def weight_figures(failing_log_weight: FloatArray, *, of: int) -> WeightFigures:
+    """Figures of the log weights ``[M]`` of those that fail ``of`` N rollouts; M may be 0."""
     if failing_log_weight.size == 0:
-        return WeightFigures(ess=None, pareto_k=None, max_weight_share=None)
+        return WeightFigures(ess=None, pareto_k=None, max_weight_share=None, tail_load=None)
+    pareto_k = pareto_k_hat(failing_log_weight)
     return WeightFigures(
         ess=effective_sample_size(failing_log_weight),
-        pareto_k=pareto_k_hat(failing_log_weight),
+        pareto_k=pareto_k,
         max_weight_share=largest_share(failing_log_weight),
+        tail_load=None if pareto_k is None else tail_load(failing_log_weight, of=of),
     )
 
 
@@ -65,6 +75,25 @@ def pareto_k_hat(log_weight: FloatArray) -> float | None:
         except ValueError:  # no spread in a tail that is cut off elsewhere
             return None
     return value if np.isfinite(value) else None
+
+
+def tail_load(log_weight: FloatArray, *, of: int) -> float:
+    """What the tail carries beyond its cutoff, in standard errors of all that is below it.
+
+    With u the cutoff, the sum of M weights, M at least 25, of ``of`` N rollouts is the sum of
+    min(w, u), numbers that are bounded, so that their standard error holds, and of max(w - u, 0),
+    which is all that the tail's shape can make wrong. Truncation at u leaves the second out, which
+    is then the bias (Ionides, 'Truncated importance sampling', JCGS 2008). While it is within the
+    error of the first, a tail that is wrong by all it carries moves the average no further than
+    chance does.
+    """
+    relative = np.exp(log_weight - np.max(log_weight))
+    place = relative.size - _tail_size(relative.size) - 1
+    below = np.minimum(relative, np.partition(relative, place)[place])
+    mean = float(below.sum()) / of
+    squares = float(np.sum((below - mean) ** 2)) + (of - relative.size) * mean**2
+    error = max(squares**0.5, ROUNDING * float(relative.sum()))
+    return float(np.sum(relative - below)) / error
 
 
 PRIOR_SHAPE, PRIOR_COUNT = 0.5, 10
@@ -86,12 +115,17 @@ def tail_shape(log_weight: FloatArray) -> float:
     """
     relative = np.sort(log_weight - np.max(log_weight))
     count = relative.size
-    size = int(3 * count**0.5 if count > SMALL_SAMPLE else count / 5)
+    size = _tail_size(count)
     tail, cutoff = relative[-size:], relative[-size - 1]
     if tail[-1] - tail[0] < np.finfo(np.float64).tiny:
         message = "the tail's weights are all the same"
         raise ValueError(message)
     return fitted_shape(np.exp(tail) - np.exp(cutoff))
+
+
+def _tail_size(count: int) -> int:
+    """How many of so many weights are the tail."""
+    return int(3 * count**0.5 if count > SMALL_SAMPLE else count / 5)
 
 
 def fitted_shape(excess: FloatArray) -> float:
