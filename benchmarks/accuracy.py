@@ -29,6 +29,8 @@ SEEDS_PER_JOB = 10
 CONFIDENCE = 0.95
 FAR = 2.0
 """An estimate that is off by more than this factor misleads, unless it warns."""
+CLOSE = 0.1
+"""An estimate that is off by no larger share of the truth than this warns in vain, if it does."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,11 @@ class Outcome:
         """Whether it is off by more than a factor of 2 and nothing warns."""
         return not self.warned and not 1.0 / FAR <= self.ratio <= FAR
 
+    @property
+    def is_close(self) -> bool:
+        """Whether it is within 10 % of the truth."""
+        return abs(self.ratio - 1.0) <= CLOSE
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -103,6 +110,7 @@ class Accuracy:
         coverage_low: Exact binomial interval of that share at 95 %, lower end.
         coverage_high: Upper end.
         warned: Share of runs whose diagnostics call the estimate unreliable.
+        close_warned: Likewise of the runs within 10 % of the truth; ``None`` without any.
         unwarned_coverage: Share of the other runs' intervals that contain the truth; ``None``
             without any.
         unwarned_coverage_low: Exact binomial interval of that share at 95 %, lower end.
@@ -124,6 +132,7 @@ class Accuracy:
     coverage_low: float
     coverage_high: float
     warned: float
+    close_warned: float | None
     unwarned_coverage: float | None
     unwarned_coverage_low: float | None
     unwarned_coverage_high: float | None
@@ -192,6 +201,7 @@ def summarise(
     ratio = np.array([outcome.ratio for outcome in outcomes])
     coverage, low, high = _coverage(outcomes)
     unwarned = [outcome for outcome in outcomes if not outcome.warned]
+    close = [outcome.warned for outcome in outcomes if outcome.is_close]
     of_unwarned = _coverage(unwarned) if unwarned else (None, None, None)
     return Accuracy(
         scenario=scenario,
@@ -205,6 +215,7 @@ def summarise(
         coverage_low=low,
         coverage_high=high,
         warned=1.0 - len(unwarned) / len(outcomes),
+        close_warned=sum(close) / len(close) if close else None,
         unwarned_coverage=of_unwarned[0],
         unwarned_coverage_low=of_unwarned[1],
         unwarned_coverage_high=of_unwarned[2],

@@ -165,6 +165,20 @@ def test_what_misleads_is_far_off_and_does_not_warn():
     assert none.unwarned_coverage is None
 
 
+def test_who_is_close_and_warns_all_the_same():
+    """Four are within 10 % of the truth, of which one warns; whether 1.2 does is no matter."""
+    outcomes = [
+        outcome(1.0),
+        outcome(1.09, warned=True),
+        outcome(0.91),
+        outcome(0.95, covers=False),
+    ]
+    others = [outcome(1.2, warned=True), outcome(0.0, warned=True)]
+    row = summarise([*outcomes, *others], scenario="x", method="mixture", truth=1e-3)
+    assert row.close_warned == pytest.approx(1 / 4)
+    assert summarise(others, scenario="x", method="mixture", truth=1e-3).close_warned is None
+
+
 def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
     """Its runs are kept one by one; what is there is not run again, what is torn is."""
     study = TrustStudy(
