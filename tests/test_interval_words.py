@@ -13,18 +13,21 @@ import pytest
 
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text
+from pemviz.latents import LatentCounts
 from pemviz.panel import compare_tab, headline, learning_tab, recordings_tab
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.recording.sweep_overview import estimate_label
+from pemviz.recording.text import answer_text
 from pemviz.reports.answer_words import rule_warnings, rules_table
 from pemviz.reports.gate import decide_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import run_document
-from pemviz.reports.terminal import plain_lines
+from pemviz.reports.terminal import plain_lines, summary_text
 from pemviz.reproduce.experiments import RepetitionOutcome
 from pemviz.reproduce.tables import table_2
 from pemviz.runs.result import RuleAnswer
 from pemviz.runs.result_file import result_document, write_result
+from pemviz.sampling.estimates.trust import remedy
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.sweep.carry_out import RunState
@@ -93,6 +96,39 @@ def test_result_json_says_so_beside_the_bounds(method, reliable):
     document = json.loads(json.dumps(result_document(result)))
     for table in (document["estimate"], *document["repetitions"]):
         assert table["interval_caveats"] == against
+
+
+def ways_in(result):
+    """A run's answer as a program, a notebook, a pipeline and the viewer show it."""
+    summary = summary_markdown(result).replace("\\", "")
+    return (
+        summary_text(result), result._repr_html_(), summary, answer_text(result, running=False)
+    )  # fmt: skip
+
+
+@METHOD
+@pytest.mark.parametrize("reliable", [True, False])
+@pytest.mark.parametrize("latents", [None, LatentCounts(noise=1)])
+def test_every_way_in_says_what_to_try_where_an_interval_is_none(method, reliable, latents):
+    result, against = judged(method, reliable=reliable, repetitions=2)
+    result = replace(result, latents=latents)
+    words = remedy(method, latents=latents is not None)
+    for text in ways_in(result):
+        assert ("try next: " in plain(text)) == bool(against)
+        assert not against or f"try next: {words}" in plain(text).replace("\\", "")
+    alone = plain(result.estimate._repr_html_())
+    assert (f"try next: {remedy(method, latents=True)}" in alone) == bool(against)
+    document = json.loads(json.dumps(result_document(result)))
+    for table in (document["estimate"], *document["repetitions"]):
+        assert table.get("try_next") == (words if against else None)
+
+
+def test_a_single_rule_that_is_doubted_is_enough_to_say_what_to_try():
+    rule = RuleAnswer("a", "always[0,9] (x > 0)", estimate(method="mixture", diagnostics=(WRONG,)))
+    result = replace(made_up(estimate(method="mixture", diagnostics=())), reference=None)
+    assert all("try next" not in plain(text) for text in ways_in(result))
+    result = replace(result, rules=(rule,))
+    assert all(f"try next: {remedy('mixture')}" in plain(text) for text in ways_in(result))
 
 
 @METHOD

@@ -53,6 +53,11 @@ def share_text(value: float | None) -> str:
     return f"{per_cent:.0f} %" if per_cent >= 0.95 or value == 0.0 else f"{per_cent:.1g} %"
 
 
+def next_text(remedy: str | None) -> Sequence[str]:
+    """What to do where an interval is none, as a line; no line without a remedy."""
+    return () if remedy is None else (f"try next: {remedy}",)
+
+
 def probability_text(estimate: Estimate) -> str:
     """The probability with its standard error, or what is known without a failure."""
     if estimate.failures == 0:

@@ -10,6 +10,7 @@ from pemviz.reports.document import Caution, Figure, Folded, Headline, Paragraph
 from pemviz.reports.estimate_words import (
     interval_name,
     interval_text,
+    next_text,
     short_probability,
     violations_text,
 )
@@ -17,7 +18,7 @@ from pemviz.reports.html import blocks_html, embedded, paragraph, sections_html
 from pemviz.reports.run_document import WHY, run_document
 from pemviz.runs.observers import Rollout
 from pemviz.runs.result import RunResult
-from pemviz.sampling.estimates.trust import interval_caveats
+from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.types import Estimate
 
 WIDTH_PX = 560
@@ -42,10 +43,13 @@ def estimate_html(estimate: Estimate) -> str:
     """An estimate with its interval and what is wrong with it."""
     caveats = interval_caveats(estimate)
     called = interval_name(estimate, caveats=caveats)
+    # an estimate does not know of latents: what serves with them serves without
+    better = remedy(estimate.method, latents=True)
     said = (
         Headline(f"Failure probability {short_probability(estimate)}"),
         Paragraph(f"{called} {interval_text(estimate, caveats=caveats)}, sampling alone"),
         Paragraph(f"{estimate.method}: {violations_text(estimate)} violate", tone="quiet"),
+        *(Paragraph(line, tone="quiet") for line in next_text(better if caveats else None)),
         *(Caution(diagnostic.text) for diagnostic in estimate.diagnostics),
     )
     return _box([blocks_html(said)])

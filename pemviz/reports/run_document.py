@@ -22,9 +22,14 @@ from pemviz.reports.estimate_words import number_text, share_text
 from pemviz.reports.gate import GateDecision, GateOutcome
 from pemviz.runs.ranking import LEAST_ROBUST
 from pemviz.runs.result import RunMemory, RunResult
-from pemviz.runs.uncertainty import data_warnings, run_diagnostics, run_interval_caveats
+from pemviz.runs.uncertainty import (
+    data_warnings,
+    run_diagnostics,
+    run_interval_caveats,
+    run_remedy,
+)
 from pemviz.sampling.estimates.diagnostics import RELIABLE_PARETO_K, SMALL_ESS
-from pemviz.sampling.estimates.trust import interval_caveats, remedy
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.registry import by_name
 from pemviz.types import Estimate
 
@@ -36,6 +41,7 @@ TRUST = ("diagnostics", "models", "warnings", "extrapolation")
 """Whether to believe it."""
 RECORD = ("question", "worst", "provenance", "assumptions", "configuration")
 """What was done."""
+K_HAT = f"{RELIABLE_PARETO_K:g} or less, or a tail that carries little"
 MOST_WARNINGS = 5
 """Lines of them in brief."""
 GATE_MARKS: Mapping[GateOutcome, doc.Mark] = {"passed": "yes", "tripped": "no", "undecided": "open"}
@@ -129,8 +135,7 @@ def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
         f"{config.method}{repeated}: {counted} violate {what}; took "
         f"{result.timings_s.get('total', math.nan):.1f} s"
     )
-    if caveats:
-        yield f"try next: {remedy(estimate.method, latents=result.latents is not None)}"
+    yield from estimates.next_text(run_remedy(result))
     if rate := answer_words.rate_line(result):
         yield rate
     if result.reference is not None:
@@ -141,6 +146,7 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
     caveats = run_interval_caveats(result)
     if caveats or estimate.warnings:
         yield Caution("Read the warnings before quoting this.")
+    yield from map(Paragraph, estimates.next_text(run_remedy(result)))
     called = estimates.interval_name(estimate, caveats=caveats)
     rows = [
         ("probability of a violation", estimates.probability_text(estimate)),
@@ -201,7 +207,7 @@ def _diagnostics(result: RunResult, estimate: Estimate) -> Section:
     if estimate.ess is not None:
         rows += [
             ("effective sample size", number_text(estimate.ess), f"{SMALL_ESS:g} or more"),
-            ("Pareto k-hat", number_text(estimate.pareto_k), f"{RELIABLE_PARETO_K:g} or less"),
+            ("Pareto k-hat", number_text(estimate.pareto_k), K_HAT),
             ("largest weight's share", share_text(estimate.max_weight_share), "a few per cent"),
         ]
     method = by_name(result.config.method)

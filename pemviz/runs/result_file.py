@@ -10,8 +10,8 @@ What a result.json may hold (schema 2):
 - An estimate's unbiased figures in a table ``unbiased`` of ``probability`` and ``std_error``,
   and its ``warnings``, the texts of its ``diagnostics``.
 - Beside ``confidence`` an estimate's ``interval_caveats``: why ``ci_low`` and ``ci_high`` are no
-  interval at that level, in words; empty if they are one. They follow from the rest of the
-  document and are not kept when it is read.
+  interval at that level, in words; empty if they are one. If not, ``try_next``: what to do.
+  They follow from the rest of the document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
@@ -54,7 +54,7 @@ from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, viola
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.uncertainty import UncertaintySource, run_interval_caveats, uncertainty_budget
 from pemviz.sampling.estimates.diagnostics import classified
-from pemviz.sampling.estimates.trust import interval_caveats
+from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.types import Estimate
 
 Table = dict[str, Any]
@@ -153,11 +153,11 @@ def result_document(result: RunResult) -> Table:
         "estimate": (
             None
             if result.estimate is None
-            else _estimate_table(result.estimate, run_interval_caveats(result))
+            else _estimate_table(result, result.estimate, run_interval_caveats(result))
         ),
         **_unless_empty(
             rules=[
-                {**_fields_of(rule), "estimate": _estimate_table(rule.estimate)}
+                {**_fields_of(rule), "estimate": _estimate_table(result, rule.estimate)}
                 for rule in result.rules
             ],
             per_hour=violation_rates(result),
@@ -176,7 +176,7 @@ def result_document(result: RunResult) -> Table:
         "plan": result.plan,
         **explanation,
         **_unless_empty(robustness_tail=result.robustness_tail),
-        "repetitions": [_estimate_table(estimate) for estimate in result.repetitions],
+        "repetitions": [_estimate_table(result, estimate) for estimate in result.repetitions],
         "stages": result.stages,
         "least_robust": [_ranked_table(rollout) for rollout in result.least_robust],
         **_unless_empty(
@@ -196,15 +196,20 @@ def _unless_empty(**entries: Any) -> Table:
     return {name: entry for name, entry in entries.items() if entry not in (None, (), [], {})}
 
 
-def _estimate_table(estimate: Estimate, caveats: Sequence[str] | None = None) -> Table:
+def _estimate_table(
+    result: RunResult, estimate: Estimate, caveats: Sequence[str] | None = None
+) -> Table:
     table = _fields_of(estimate)
+    against = interval_caveats(estimate) if caveats is None else caveats
+    better = remedy(estimate.method, latents=result.latents is not None)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
     return {
         **table,
         "warnings": list(estimate.warnings),
         "confidence": confidence,
-        "interval_caveats": list(interval_caveats(estimate) if caveats is None else caveats),
+        "interval_caveats": list(against),
+        **_unless_empty(try_next=better if against else None),
         "unbiased": {"probability": probability, "std_error": std_error},
         "diagnostics": diagnostics,
     }
@@ -328,6 +333,7 @@ def _estimate(entry: object, name: str) -> object:
     }
     estimate = read_record(Estimate, values, name=name, ignore_unknown=True)
     read_value(tuple[str, ...], table.get("interval_caveats", []), name=f"{name}.interval_caveats")
+    read_value(str, table.get("try_next", ""), name=f"{name}.try_next")
     warnings = read_value(tuple[str, ...], table.get("warnings", []), name=f"{name}.warnings")
     if "diagnostics" not in table:
         return replace(estimate, diagnostics=classified(warnings, estimate))

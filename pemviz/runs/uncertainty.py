@@ -45,6 +45,15 @@ def run_interval_caveats(result: RunResult) -> tuple[str, ...]:
     return interval_caveats(result.estimate, run_diagnostics(result))
 
 
+def run_remedy(result: RunResult) -> str | None:
+    """What to try where the answer's interval, or that of a rule's, is none; ``None``: nothing."""
+    estimate = result.estimate
+    every = (run_interval_caveats(result), *(interval_caveats(r.estimate) for r in result.rules))
+    if estimate is None or not any(every):
+        return None
+    return remedy(estimate.method, latents=result.latents is not None)
+
+
 def data_warnings(result: RunResult) -> tuple[str, ...]:
     """What is said about the error model, its data and its refits, in words."""
     about_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
