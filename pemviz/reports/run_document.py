@@ -41,7 +41,7 @@ TRUST = ("diagnostics", "models", "warnings", "extrapolation")
 """Whether to believe it."""
 RECORD = ("question", "worst", "provenance", "assumptions", "configuration")
 """What was done."""
-K_HAT = f"{RELIABLE_PARETO_K:g} or less, or a tail that carries little"
+K_HAT = f"{RELIABLE_PARETO_K:g} or less (less for few), or a tail that carries little"
 MOST_WARNINGS = 5
 """Lines of them in brief."""
 GATE_MARKS: Mapping[GateOutcome, doc.Mark] = {"passed": "yes", "tripped": "no", "undecided": "open"}

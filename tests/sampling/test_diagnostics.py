@@ -28,6 +28,7 @@ from pemviz.sampling.estimates.diagnostics import (
     not_absorbing,
     parts_disagreement,
     reference_disagreement,
+    reliable_pareto_k,
     unreliable_reference,
     weight_diagnostics,
 )
@@ -152,6 +153,18 @@ def test_the_error_of_rounding_is_no_tail():
     assert kinds(weighted(np.exp(digits), rollouts=1_000)) == []
 
 
+@pytest.mark.parametrize(
+    ("count", "limit"), [(10, 0.0), (100, 0.5), (1_000, 2 / 3), (10_000, 0.7), (10**9, 0.7)]
+)
+def test_the_fewer_weights_the_lighter_their_tail_must_be(count, limit):
+    assert reliable_pareto_k(count) == pytest.approx(limit)
+    figures = WeightFigures(ess=99.0, pareto_k=limit + 1e-9, max_weight_share=0.1, tail_load=5.0)
+    asked = {"failures": count, "rollouts": 10**9, "log10_probability": -15.0}
+    (tail,) = weight_diagnostics(figures, **asked)
+    assert (tail.kind, tail.limit) == ("heavy-tail", pytest.approx(limit))
+    assert weight_diagnostics(replace(figures, pareto_k=limit - 1e-9), **asked) == ()
+
+
 @pytest.mark.parametrize("shape", [0.8, 0.9, 1.5])
 @pytest.mark.parametrize(("failing", "rollouts"), [(100, 110), (100, 300), (1_000, 3_000)])
 def test_what_a_pareto_tail_is_warned_of_it_is_warned_of_still(shape, failing, rollouts):
@@ -180,7 +193,7 @@ def test_limits_themselves_are_allowed(figures, kind):
         max_weight_share=LARGE_SHARE,
         tail_load=LIGHT_LOAD,
     )
-    asked = {"failures": 40, "rollouts": 100, "log10_probability": -15.0}
+    asked = {"failures": 4_000, "rollouts": 10_000, "log10_probability": -15.0}
     assert weight_diagnostics(at_the_limits, **asked) == ()
     (found,) = weight_diagnostics(replace(at_the_limits, **figures), **asked)
     assert found.kind == kind

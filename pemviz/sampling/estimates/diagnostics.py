@@ -18,8 +18,8 @@ of importance weights and their spread, or a mean of independent runs, whose rol
 weights, and how far the runs differ."""
 
 RELIABLE_PARETO_K = 0.7
-"""Above it an average of weights is not to be trusted (Vehtari et al. 2024), if the tail carries
-what matters."""
+"""Above it an average of however many weights is not to be trusted, if the tail carries what
+matters (Vehtari et al. 2024)."""
 LIGHT_LOAD = 1.96
 """Standard errors, the half-width of a 95 % interval, within which what a tail carries does not."""
 LARGE_SHARE = 0.2
@@ -79,7 +79,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
     "heavy-tail": Meaning(
         phrase="the weights' tail is too heavy",
         undermines=ALL_BUT_COUNTS,
-        in_repetitions=f"the weights' tail is too heavy (Pareto k-hat above {RELIABLE_PARETO_K})",
+        in_repetitions="the weights' tail is too heavy (Pareto k-hat)",
         reason="Pareto k-hat is {:.2f}",
     ),
     "died-out": Meaning(
@@ -164,6 +164,14 @@ def count_diagnostics(
     return ()
 
 
+def reliable_pareto_k(count: int) -> float:
+    """Up to which k-hat an average of so many weights, at least 2, is to be trusted.
+
+    The one for which they are just enough, or the limit of all (Vehtari et al. 2024, equation 13).
+    """
+    return min(1.0 - 1.0 / math.log10(count), RELIABLE_PARETO_K)
+
+
 def weight_diagnostics(
     figures: WeightFigures, *, failures: int, rollouts: int, log10_probability: float | None
 ) -> tuple[Diagnostic, ...]:
@@ -179,7 +187,6 @@ def weight_diagnostics(
 
 def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagnostic]:
     share, ess, k_hat = figures.max_weight_share, figures.ess, figures.pareto_k
-    loaded = figures.tail_load is not None and figures.tail_load > LIGHT_LOAD
     found: list[Diagnostic] = []
     if share is not None and share > LARGE_SHARE:
         text = f"one rollout carries {share:.0%} of the weight: do not quote this number"
@@ -190,12 +197,15 @@ def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagno
             f"(effective sample size)"
         )
         found.append(Diagnostic("few-effective-samples", ess, SMALL_ESS, text))
-    if k_hat is not None and k_hat > RELIABLE_PARETO_K and loaded:
+    if k_hat is None or figures.tail_load is None or figures.tail_load <= LIGHT_LOAD:
+        return found
+    limit = reliable_pareto_k(failures)
+    if k_hat > limit:
         text = (
             f"the weights' tail is too heavy (Pareto k-hat {k_hat:.2f}, reliable up to "
-            f"{RELIABLE_PARETO_K}): the true value may lie outside the interval"
+            f"{limit:.2g}): the true value may lie outside the interval"
         )
-        found.append(Diagnostic("heavy-tail", k_hat, RELIABLE_PARETO_K, text))
+        found.append(Diagnostic("heavy-tail", k_hat, limit, text))
     return found
 
 
