@@ -25,9 +25,10 @@ class BenchArguments:
     """Measure speed on this machine.
 
     ``accuracy`` measures how wrong the methods are on scenarios with known answers, ``trust``
-    whether answers that nothing warns of are right, ``scale`` how time and memory grow, ``compare``
-    how many times faster pemviz is than what one would write else, ``runs`` how long ten runs that
-    a user would make take; they have options of their own.
+    whether answers that nothing warns of are right, ``external`` both on published problems beside
+    others' programs, ``scale`` how time and memory grow, ``compare`` how many times faster pemviz
+    is than what one would write else, ``runs`` how long ten runs that a user would make take; they
+    have options of their own.
     """
 
     part: tuple[Part, ...] = (
@@ -61,6 +62,7 @@ def run(words: Sequence[str]) -> int:
         "compare": _compare,
         "accuracy": _accuracy,
         "trust": _trust,
+        "external": _external,
         "runs": _runs,
         "scale": _scale,
     }
@@ -149,6 +151,12 @@ def _trust(words: Sequence[str]) -> int:
         return EXIT_DONE
     print("\n".join(report_lines(run_trust(study))))
     return EXIT_DONE
+
+
+def _external(words: Sequence[str]) -> int:
+    from benchmarks.external.command import run as run_external  # noqa: PLC0415
+
+    return run_external(words, program=PROGRAM)
 
 
 def _measure(part: Part) -> Callable[[], Sequence[Figure]]:

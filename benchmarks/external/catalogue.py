@@ -1,0 +1,175 @@
+"""The problems, where they are published, and how likely each fails; without pemviz."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from benchmarks.external.motions import Motion
+from benchmarks.external.sequential import (
+    HeldCartPole,
+    LargestError,
+    Pendulum,
+    SensedPendulum,
+    SumOfErrors,
+    WalkBesidePattern,
+)
+from benchmarks.external.static import STATIC
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """A failure probability that is known.
+
+    Attributes:
+        name: In tables.
+        source: Where it is published.
+        motion: What moves, and when it fails.
+        truth: How likely that is.
+        relative_error: Standard error of the truth as a share of it; 0 where it is exact.
+        how: How it was found.
+        twin: Whether pemviz is told that the simulator is fast, so that it may run through states.
+    """
+
+    name: str
+    source: str
+    motion: Motion
+    truth: float
+    relative_error: float = 0.0
+    how: str
+    twin: bool = False
+
+
+OTBENCHMARK = "openturns/otbenchmark"
+PLANE = "quadrature over angles and columns"
+TRUTHS: Mapping[str, tuple[str, float, float, str]] = {
+    "four-branch": (OTBENCHMARK, 2.222795e-3, 0.0, PLANE),
+    "four-branch, rarer": ("likewise, 4.5 for 3 and 9 for 7", 1.0771553e-5, 0.0, PLANE),
+    "RP8": (OTBENCHMARK, 7.897944e-4, 0.0, "convolution"),
+    "RP14": (OTBENCHMARK, 7.728521e-4, 0.0, "quadrature over four variables"),
+    "RP22": (OTBENCHMARK, 4.207305e-3, 0.0, PLANE),
+    "RP24": (OTBENCHMARK, 2.859998e-3, 0.0, PLANE),
+    "RP25": (OTBENCHMARK, 4.148566e-5, 0.0, PLANE),
+    "RP28": (OTBENCHMARK, 1.4532947e-7, 0.0, PLANE),
+    "RP31": (OTBENCHMARK, 3.22681e-3, 0.0, PLANE),
+    "RP33": (OTBENCHMARK, 2.5755978e-3, 0.0, "normal distribution of two variables"),
+    "RP35": (OTBENCHMARK, 3.478946e-3, 0.0, PLANE),
+    "RP38": (OTBENCHMARK, 8.043119e-3, 0.0018, "importance sampling, numpy alone"),
+    "RP53": (OTBENCHMARK, 3.13205e-2, 0.0, PLANE),
+    "RP54": (OTBENCHMARK, 9.9060307e-4, 0.0, "gamma distribution"),
+    "RP55": (OTBENCHMARK, 0.5600144282863704, 0.0, "formula"),
+    "RP57": (OTBENCHMARK, 2.82373e-2, 0.0, PLANE),
+    "RP60": (OTBENCHMARK, 4.48396998e-2, 0.0, "quadrature over the load"),
+    "RP63": (OTBENCHMARK, 3.769436118e-4, 0.0, "integral over chi-square"),
+    "RP75": (OTBENCHMARK, 9.819298721546889e-3, 0.0, "integral of K0"),
+    "RP77": (OTBENCHMARK, 2.690843985e-7, 0.0, "quadrature over x3"),
+    "RP89": (OTBENCHMARK, 5.471280529e-3, 0.0, PLANE),
+    "RP91": (OTBENCHMARK, 6.985839e-4, 0.002, "importance sampling, numpy alone"),
+    "RP107": (OTBENCHMARK, 2.866515718791939e-7, 0.0, "formula"),
+    "RP110": (OTBENCHMARK, 3.19578e-5, 0.0, PLANE),
+    "RP111": (OTBENCHMARK, 8.035085964959766e-7, 0.0, "integral of K0"),
+    "linear, 100": ("a plane 6 away", 9.865876450376946e-10, 0.0, "formula"),
+    "two planes, 100": ("planes 4.5 and 5 away", 3.6843234e-6, 0.0, "formula"),
+    "exponential sum, 100": (
+        "170 - sum of unit exponentials",
+        2.43007726e-9,
+        0.0,
+        "gamma distribution",
+    ),
+}
+"""Of static problems: source, probability, its relative error, how it was found."""
+
+CORSO = "Corso et al. 2022, arXiv 2211.12470"
+TWO_SIDED = "issue 34: an error that may go either way"
+CARTPOLE = "gymnasium's CartPole-v1, held values"
+DISTURBANCES = (-1.0, -0.25, 0.0, 0.25, 1.0)
+ODD_STEPS = (1, 3, 5, 7, 9, 11, 13)
+WALKS = (
+    ("0.42", 6, 3.211162618244415e-06),
+    ("0.05", 7, 5.465226155800273e-06),
+    ("0.005", 8, 1.3656077031629127e-05),
+)
+"""How much of the probability the walk shows, where it starts, and the probability."""
+CARTS = (
+    (2.5, 0.7967425, 0.0008, "400,000 plain rollouts"),
+    (4.0, 0.0165535, 0.00545, "2,000,000 plain rollouts"),
+)
+"""Log-odds of a detection, the probability, its relative error, and how it was found."""
+
+SEQUENTIAL: Sequence[Problem] = (
+    Problem(
+        name="pendulum",
+        source=CORSO,
+        motion=Pendulum(),
+        truth=2.03e-5,
+        relative_error=0.02,
+        how="plain rollouts",
+    ),
+    Problem(
+        name="pendulum, discrete",
+        source=CORSO,
+        motion=Pendulum(forces=DISTURBANCES, sd=0.4),
+        truth=3.01e-5,
+        relative_error=0.02,
+        how="plain rollouts",
+    ),
+    Problem(
+        name="pendulum, noisy sensor",
+        source="Stanford AA228V, project 2, medium",
+        motion=SensedPendulum(),
+        truth=8.12e-3,
+        relative_error=0.003,
+        how="plain rollouts",
+    ),
+    Problem(
+        name="largest error, two-sided",
+        source=TWO_SIDED,
+        motion=LargestError(),
+        truth=1.1465999e-5,
+        how="formula",
+    ),
+    Problem(
+        name="sum of errors, two-sided",
+        source=TWO_SIDED,
+        motion=SumOfErrors(),
+        truth=6.795346249460121e-6,
+        how="formula",
+    ),
+    *(
+        Problem(
+            name=f"CartPole, base {base:g}",
+            source=CARTPOLE,
+            motion=HeldCartPole(base=base),
+            truth=truth,
+            relative_error=error,
+            how=how,
+        )
+        for base, truth, error, how in CARTS
+    ),
+    *(
+        Problem(
+            name=f"walk beside a pattern, {share} of it{', with a twin' if twin else ''}",
+            source="issue 34: a way of failing that nothing shows",
+            motion=WalkBesidePattern(pattern=ODD_STEPS, first=first),
+            truth=truth,
+            how="recursion",
+            twin=twin,
+        )
+        for share, first, truth in WALKS
+        for twin in (False, True)
+    ),
+)
+
+
+def problems() -> Sequence[Problem]:
+    """All of them, static ones first."""
+    static = [
+        Problem(
+            name=name,
+            source=source,
+            motion=STATIC[name],
+            truth=truth,
+            relative_error=error,
+            how=how,
+        )
+        for name, (source, truth, error, how) in TRUTHS.items()
+    ]
+    return (*static, *SEQUENTIAL)

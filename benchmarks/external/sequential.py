@@ -1,0 +1,328 @@
+"""Problems that move: two pendulums and a noisier one, carts, errors and walks.
+
+Where their definitions come from: :mod:`benchmarks.external.catalogue`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from benchmarks.external.motions import SURE, Flags, Numbers, Values
+
+QUARTER_PI = np.pi / 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pendulum:
+    """An inverted pendulum, 1 kg and 1 m, whose torque is disturbed (Corso et al. 2022).
+
+    Attributes:
+        forces: Values of the disturbance; none: it is normal.
+        sd: Its standard deviation; with values, they are weighed by the normal density.
+    """
+
+    forces: Sequence[float] = ()
+    sd: float = 0.3
+    starts: int = 2
+    noises: int = 1
+    misses: bool = False
+    steps: int = 19
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """The angle from upright [rad], and its rate [rad/s]."""
+        return {"angle": (-2.0, 2.0), "rate": (-8.0, 8.0)}
+
+    @property
+    def spec(self) -> str:
+        """Within a quarter of pi to both sides."""
+        return within_quarter(self.steps)
+
+    def begin(self, start: Numbers) -> Values:
+        """Uniform within 10 degrees, and 0.1 rad/s."""
+        ten_degrees = np.deg2rad(10.0)
+        share = 2.0 * ndtr(start) - 1.0
+        return {"angle": ten_degrees * share[:, 0], "rate": 0.1 * share[:, 1]}
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """0.1 s on."""
+        return swung(values, self.control(values) + self.disturbance(noise[:, 0]), dt_s=0.1)
+
+    def control(self, values: Values) -> Numbers:
+        """The torque of the controller, which is within +-2."""
+        angle, rate = values["angle"], values["rate"]
+        wanted = np.sign(angle) * np.sqrt(60.0 * (1.0 - np.cos(angle)))
+        return np.clip(-2.0 * rate - (wanted - rate), -2.0, 2.0)
+
+    def disturbance(self, noise: Numbers) -> Numbers:
+        """Standard normals as disturbances ``[N]``."""
+        if not self.forces:
+            return self.sd * noise
+        upto = np.cumsum(self.weights)[:-1]
+        return np.asarray(self.forces)[np.searchsorted(upto, ndtr(noise), side="right")]
+
+    @property
+    def weights(self) -> Numbers:
+        """How likely each of the forces is."""
+        density = np.exp(-0.5 * (np.asarray(self.forces) / self.sd) ** 2)
+        return density / density.sum()
+
+    def logit(self, values: Values) -> Numbers:
+        """Detected, to no effect."""
+        return np.full(np.shape(values["angle"]), SURE)
+
+    def margin(self, values: Values) -> Numbers:
+        """Angle that is left [rad]."""
+        return QUARTER_PI - np.abs(values["angle"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensedPendulum(Pendulum):
+    """A pendulum whose angle and rate are measured with errors (Stanford AA228V, project 2)."""
+
+    noises: int = 2
+    steps: int = 40
+
+    def begin(self, start: Numbers) -> Values:
+        """Normal around upright and at rest."""
+        return {"angle": np.pi / 32.0 * start[:, 0], "rate": 0.5 * start[:, 1]}
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """0.05 s on."""
+        angle, rate = values["angle"] + 0.1 * noise[:, 0], values["rate"] + 0.1 * noise[:, 1]
+        return swung(values, np.clip(-15.0 * angle - 8.0 * rate, -2.0, 2.0), dt_s=0.05)
+
+
+def swung(values: Values, torque: Numbers, *, dt_s: float) -> Values:
+    """A pendulum's angle and rate a time step on."""
+    angle, rate = values["angle"], values["rate"]
+    rate = rate + (15.0 * np.sin(angle) + 3.0 * torque) * dt_s
+    return {"angle": angle + dt_s * rate, "rate": np.clip(rate, -8.0, 8.0)}
+
+
+def within_quarter(steps: int) -> str:
+    """That a pendulum does not fall over."""
+    limit = float(QUARTER_PI)
+    return f"always[0,{steps}] (angle <= {limit!r} and angle >= {-limit!r})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestError:
+    """Fails where an error that may go either way is at one step larger than a limit.
+
+    Attributes:
+        limit: In standard deviations.
+    """
+
+    limit: float = 5.0
+    starts: int = 0
+    noises: int = 1
+    misses: bool = False
+    steps: int = 20
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """The largest so far."""
+        return {"largest": (0.0, 8.0)}
+
+    @property
+    def spec(self) -> str:
+        """It is never above the limit."""
+        return f"always[0,{self.steps}] (largest <= {self.limit!r})"
+
+    def begin(self, start: Numbers) -> Values:
+        """No error yet."""
+        return {"largest": np.zeros(len(start))}
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """With the error of a step."""
+        return {"largest": np.maximum(values["largest"], np.abs(noise[:, 0]))}
+
+    def logit(self, values: Values) -> Numbers:
+        """Detected, to no effect."""
+        return np.full(np.shape(values["largest"]), SURE)
+
+    def margin(self, values: Values) -> Numbers:
+        """What is left to the limit."""
+        return self.limit - values["largest"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SumOfErrors:
+    """Fails where the sum of all steps' errors is at the end beyond a limit on either side.
+
+    Attributes:
+        limit: In standard deviations of the sum.
+    """
+
+    limit: float = 4.5
+    starts: int = 0
+    noises: int = 1
+    misses: bool = False
+    steps: int = 20
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """The sum, in its standard deviations at the end."""
+        return {"total": (-8.0, 8.0)}
+
+    @property
+    def spec(self) -> str:
+        """It is within the limits at the end."""
+        end = self.steps
+        return f"always[{end},{end}] (total <= {self.limit!r} and total >= {-self.limit!r})"
+
+    def begin(self, start: Numbers) -> Values:
+        """No error yet."""
+        return {"total": np.zeros(len(start)), "at_end": np.zeros(len(start), dtype=np.bool_)}
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """With the error of a step."""
+        total = values["total"] + noise[:, 0] / np.sqrt(self.steps)
+        return {"total": total, "at_end": np.full(len(total), step == self.steps - 1)}
+
+    def logit(self, values: Values) -> Numbers:
+        """Detected, to no effect."""
+        return np.full(np.shape(values["total"]), SURE)
+
+    def margin(self, values: Values) -> Numbers:
+        """What is left to the limits; before the end nothing fails."""
+        left = self.limit - np.abs(values["total"])
+        return np.where(values["at_end"], left, np.inf)
+
+
+CART_START = (-0.0409, -0.0249, 0.0301, 0.0082)
+CART_GAINS = (0.35, 0.6, 8.0, 1.6)
+RAIL, LEAN = 2.4, 0.2095
+CART = ("x", "xd", "th", "thd")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldCartPole:
+    """CartPole-v1 of gymnasium's, whose controller goes by the state last detected.
+
+    Attributes:
+        base: Log-odds of a detection while the pole does not turn; 3 less for each rad/s.
+    """
+
+    base: float = 4.0
+    starts: int = 0
+    noises: int = 0
+    misses: bool = True
+    steps: int = 200
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """Its state, how far what is held is off, and the room that is left, as a share."""
+        return {
+            "x": (-3.0, 3.0), "xd": (-3.0, 3.0), "th": (-0.3, 0.3), "thd": (-3.0, 3.0),
+            "err": (-0.3, 0.3), "rate_err": (-3.0, 3.0), "room": (-1.0, 1.0),
+        }  # fmt: skip
+
+    @property
+    def spec(self) -> str:
+        """There is room left."""
+        return f"always[0,{self.steps}] (room >= 0.0)"
+
+    def begin(self, start: Numbers) -> Values:
+        """Where every rollout starts; that state is held."""
+        count = len(start)
+        state = {name: np.full(count, one) for name, one in zip(CART, CART_START, strict=True)}
+        return self._shown(state, {f"held_{name}": value for name, value in state.items()})
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """0.02 s on, by Euler's method; once it has failed its state stays."""
+        held = {n: np.where(detected, values[n], values[f"held_{n}"]) for n in CART}
+        wanted = sum(gain * held[n] for gain, n in zip(CART_GAINS, CART, strict=True))
+        later = pushed(values, np.where(np.asarray(wanted) > 0.0, 10.0, -10.0))
+        going = values["room"] >= 0.0
+        state = {n: np.where(going, later[n], values[n]) for n in CART}
+        return self._shown(state, {f"held_{n}": held[n] for n in CART})
+
+    def _shown(self, state: Values, held: Values) -> Values:
+        room = np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
+        errors = {
+            "err": state["th"] - held["held_th"],
+            "rate_err": state["thd"] - held["held_thd"],
+            "room": room,
+        }
+        return {**state, **held, **errors}
+
+    def logit(self, values: Values) -> Numbers:
+        """The faster the pole turns, the less is detected."""
+        return self.base - 3.0 * np.abs(values["thd"])
+
+    def margin(self, values: Values) -> Numbers:
+        """The room that is left."""
+        return values["room"]
+
+
+def pushed(values: Values, force: Numbers) -> Values:
+    """A cart of 1 kg with a pole of 0.1 kg and 2 x 0.5 m, 0.02 s on (Barto et al. 1983)."""
+    angle, rate = values["th"], values["thd"]
+    sine, cosine = np.sin(angle), np.cos(angle)
+    push = (force + 0.05 * rate**2 * sine) / 1.1
+    turn = (9.8 * sine - cosine * push) / (0.5 * (4.0 / 3.0 - 0.1 * cosine**2 / 1.1))
+    speed_up = push - 0.05 * turn * cosine / 1.1
+    return {
+        "x": values["x"] + 0.02 * values["xd"],
+        "xd": values["xd"] + 0.02 * speed_up,
+        "th": angle + 0.02 * rate,
+        "thd": rate + 0.02 * turn,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkBesidePattern:
+    """A walk that misses lead to 0, beside a pattern of misses that nothing shows before the end.
+
+    Attributes:
+        pattern: If all of these steps are missed, the gap is 0 at the last state.
+        first: Where the walk starts; detections lead it up again, at most two above that.
+        at_zero: Log-odds of a detection at a gap of 0.
+        slope: Their change with the gap.
+    """
+
+    pattern: tuple[int, ...]
+    first: int
+    at_zero: float = 3.0
+    slope: float = -0.2
+    starts: int = 0
+    noises: int = 0
+    misses: bool = True
+    steps: int = 18
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """The gap alone."""
+        return {"gap": (-30.0, self.first + 2.0)}
+
+    @property
+    def spec(self) -> str:
+        """It never arrives at 0."""
+        return f"always[0,{self.steps}] (gap >= 0.5)"
+
+    def begin(self, start: Numbers) -> Values:
+        """At the start, with nothing detected of the pattern."""
+        count = len(start)
+        return {"gap": np.full(count, float(self.first)), "unseen": np.ones(count, dtype=np.bool_)}
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """One nearer where missed, one away where detected."""
+        gap = np.minimum(values["gap"] + np.where(detected, 1.0, -1.0), self.first + 2.0)
+        unseen = values["unseen"]
+        if step in self.pattern:
+            unseen = unseen & ~detected
+        if step == self.steps - 1:
+            gap = np.where(unseen, 0.0, gap)
+        return {"gap": gap, "unseen": unseen}
+
+    def logit(self, values: Values) -> Numbers:
+        """Linear in the gap."""
+        return self.at_zero + self.slope * values["gap"]
+
+    def margin(self, values: Values) -> Numbers:
+        """The gap, less what rounding may do to it."""
+        return values["gap"] - 0.5

@@ -1,0 +1,230 @@
+"""``python -m benchmarks external``: methods of pemviz, and of others, on problems of others.
+
+Every run is a line of ``runs.jsonl`` as soon as it is there; a study that was interrupted goes on
+where it stopped when it is asked for again.
+"""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+
+import pemviz
+from benchmarks.external.problems import Problem, chosen, experiment_of
+from benchmarks.external.record import RUNS, Run, add_run, read_runs
+from benchmarks.external.table import Row, document, nearer, rows_of, table_lines, totals_of
+from pemviz.cli.parsing import parse_arguments
+from pemviz.config import ExperimentConfig, MethodName
+from pemviz.config.ranges import Range, check_value
+from pemviz.errors import ConfigError, InputError, RunError
+from pemviz.processes import map_in_processes
+from pemviz.runs.uncertainty import run_interval_caveats
+from pemviz.sampling.registry import by_name
+
+DONE = "done"
+Seeds = Annotated[int, Range(low=1, high=100_000)]
+FirstSeed = Annotated[int, Range(low=0, high=1_000_000)]
+Processes = Annotated[int, Range(low=1, high=256)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExternalStudy:
+    """Methods on published problems that nobody here designed, beside others' programs."""
+
+    problems: tuple[str, ...] = ()
+    """Problems by name or by the beginning of it; none: all."""
+    method: tuple[MethodName, ...] = ("mixture",)
+    """Methods of pemviz, shipped or registered."""
+    budget: tuple[str, ...] = (DONE,)
+    """Simulated rollouts of a run (of splitting: particles); done: until the method says it is
+    done, with its own settings."""
+    settings: tuple[str, ...] = ()
+    """Of all methods, as name=value, each a field of a configuration: stages=20."""
+    seeds: Seeds = 5
+    """Runs of each method at each budget on each problem; 1 to 100000."""
+    first_seed: FirstSeed = 0
+    """Seed of the first of them; 0 to 10^6."""
+    processes: Processes = 2
+    """Processes; the figures do not depend on it; 1 to 256."""
+    out: Path = Path("external")
+    """Folder for runs.jsonl, which a later call goes on from, external.md and external.json."""
+    others: tuple[Path, ...] = ()
+    """Files that benchmarks/external/others.py wrote, to be shown beside."""
+    truths: bool = False
+    """Find the problems' probabilities again, print both, and run nothing."""
+    list: bool = False
+    """List the problems, and run nothing."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some seeds of one method at one budget on one problem.
+
+    Attributes:
+        problem: Its name.
+        label: What the method is called in tables.
+        budget: What was asked for.
+        config: What is run; seeds vary.
+        seeds: Which.
+        path: The file that runs are added to.
+    """
+
+    problem: str
+    label: str
+    budget: str
+    config: ExperimentConfig
+    seeds: tuple[int, ...]
+    path: Path
+
+
+def run_study(study: ExternalStudy) -> Sequence[str]:
+    """Carry out what is not there yet, and write and return the table.
+
+    Raises:
+        InputError: A value is out of range, or a problem, a method or a setting is unknown.
+        RunError: A process died.
+        OSError: The folder cannot be written.
+    """
+    check_value(name="seeds", value=study.seeds, annotation=Seeds)
+    check_value(name="first-seed", value=study.first_seed, annotation=FirstSeed)
+    check_value(name="processes", value=study.processes, annotation=Processes)
+    problems = chosen(study.problems)
+    study.out.mkdir(parents=True, exist_ok=True)
+    path = study.out / RUNS
+    jobs, refused = _jobs(study, problems, path)
+    console = Console(stderr=True)
+    began = time.monotonic()
+
+    def progress(index: int) -> None:
+        job = jobs[index]
+        console.print(
+            f"{time.monotonic() - began:6.0f} s  {job.problem}, {job.label}, {job.budget}: "
+            f"{len(job.seeds)} runs",
+            soft_wrap=True,
+            highlight=False,
+        )
+
+    map_in_processes(run_job, jobs, workers=study.processes, on_done=progress)
+    return _report(study, problems, path, refused)
+
+
+def _jobs(
+    study: ExternalStudy, problems: Sequence[Problem], path: Path
+) -> tuple[Sequence[Job], Sequence[str]]:
+    """What is to be run, and what cannot be had, in words."""
+    finished = read_runs(path)
+    jobs: list[Job] = []
+    refused: list[str] = []
+    for problem in problems:
+        for method in study.method:
+            for budget in study.budget:
+                label = " ".join((method, *study.settings))
+                keys = [(problem.name, label, budget, seed) for seed in _seeds(study)]
+                missing = [key[-1] for key in keys if key not in finished]
+                if not missing:
+                    continue
+                config = configured(problem, method, budget, study.settings)
+                try:
+                    experiment_of(problem, config)
+                except InputError as error:
+                    refused.append(f"{label} cannot be had for {problem.name}: {error}")
+                    continue
+                parts = [tuple(missing[i :: study.processes]) for i in range(study.processes)]
+                jobs += [
+                    Job(problem.name, label, budget, config, seeds, path)
+                    for seeds in parts
+                    if seeds
+                ]
+    return jobs, refused
+
+
+def _seeds(study: ExternalStudy) -> range:
+    return range(study.first_seed, study.first_seed + study.seeds)
+
+
+def configured(
+    problem: Problem, method: str, budget: str, settings: Sequence[str]
+) -> ExperimentConfig:
+    """What is run.
+
+    Raises:
+        InputError: The method, the budget or a setting is wrong.
+    """
+    config = ExperimentConfig(method=method, spec=problem.motion.spec)
+    words: list[str] = []
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            message = f"settings = {setting!r}: must be name=value"
+            raise ConfigError(message)
+        words += [f"--{name.replace('_', '-')}", value]
+    if words:
+        config = parse_arguments(
+            ExperimentConfig, words, command="external --settings", default=config
+        )
+    if budget == DONE:
+        return config
+    if not budget.isdecimal():
+        message = f"budget = {budget!r}: must be a number of rollouts, or {DONE}"
+        raise ConfigError(message)
+    return by_name(method).with_budget(config, int(budget))
+
+
+def run_job(job: Job) -> None:
+    """Run, and add a line for each run as soon as it is there."""
+    (problem,) = chosen([job.problem])
+    for seed in job.seeds:
+        began = time.process_time()
+        run = _run(problem, job, seed)
+        add_run(job.path, replace(run, seconds=time.process_time() - began))
+
+
+def _run(problem: Problem, job: Job, seed: int) -> Run:
+    run = Run(problem=job.problem, method=job.label, budget=job.budget, seed=seed, estimate=None)
+    try:
+        result = pemviz.run(experiment_of(problem, replace(job.config, seed=seed)))
+    except RunError as error:
+        return replace(run, warned=(f"failed: {error}",))
+    estimate = result.estimate
+    if estimate is None:
+        return replace(run, warned=("no estimate",))
+    return replace(
+        run,
+        estimate=estimate.probability,
+        low=estimate.ci_low,
+        high=estimate.ci_high,
+        warned=run_interval_caveats(result),
+        calls=estimate.rollouts_simulated,
+    )
+
+
+def _report(
+    study: ExternalStudy, problems: Sequence[Problem], path: Path, refused: Sequence[str]
+) -> Sequence[str]:
+    """Of what this study asks for, all that is there."""
+    truths = {problem.name: problem.truth for problem in problems}
+    labels = {" ".join((method, *study.settings)) for method in study.method}
+    ours = [
+        run
+        for run in read_runs(path).values()
+        if run.problem in truths
+        and run.method in labels
+        and run.budget in study.budget
+        and run.seed in _seeds(study)
+    ]
+    theirs = [
+        run for file in study.others for run in read_runs(file).values() if run.problem in truths
+    ]
+    rows: Sequence[Row] = rows_of([*ours, *theirs], truths)
+    totals = [*totals_of(ours, truths), *totals_of(theirs, truths)]
+    own = [row for row in rows if row.method in labels]
+    found = nearer(own, [row for row in rows if row.method not in labels])
+    lines = [*table_lines(rows, totals, found, truths), *refused]
+    (study.out / "external.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    written = json.dumps(document(rows, totals, found, truths), indent=1, allow_nan=False)
+    (study.out / "external.json").write_text(written + "\n", encoding="utf-8")
+    return lines
