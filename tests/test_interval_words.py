@@ -129,6 +129,9 @@ def test_a_single_rule_that_is_doubted_is_enough_to_say_what_to_try():
     assert all("try next" not in plain(text) for text in ways_in(result))
     result = replace(result, rules=(rule,))
     assert all(f"try next: {remedy('mixture')}" in plain(text) for text in ways_in(result))
+    unbroken = replace(rule.estimate, failures=0, probability=0.0, ci_low=None, ci_high=None)
+    never = replace(result, rules=(replace(rule, estimate=unbroken),))
+    assert all("try next" not in plain(text) for text in ways_in(never))
 
 
 @METHOD

@@ -46,10 +46,13 @@ def run_interval_caveats(result: RunResult) -> tuple[str, ...]:
 
 
 def run_remedy(result: RunResult) -> str | None:
-    """What to try where the answer's interval, or that of a rule's, is none; ``None``: nothing."""
-    estimate = result.estimate
-    every = (run_interval_caveats(result), *(interval_caveats(r.estimate) for r in result.rules))
-    if estimate is None or not any(every):
+    """What to try where the answer's interval, or that of a rule's, is none; ``None``: nothing.
+
+    Of a rule that was never broken there is no interval that anyone could rely on.
+    """
+    estimate, rules = result.estimate, (rule.estimate for rule in result.rules)
+    doubted = any(interval_caveats(rule) for rule in rules if rule.ci_low is not None)
+    if estimate is None or not (doubted or run_interval_caveats(result)):
         return None
     return remedy(estimate.method, latents=result.latents is not None)
 
