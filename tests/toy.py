@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from pemviz.sampling.particles.method import ParticleSampling
+from pemviz.sampling.splitting.run import Splitting
+from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.types import Signal, StateBatch
 
 ALLOWED_MISSES = 3
@@ -72,6 +75,16 @@ class ConstantPem:
     def logit(self, salient):
         value = math.log1p(-self.miss_probability) - math.log(self.miss_probability)
         return np.full(np.shape(salient)[:-1], value)
+
+
+def splitting_runs(**settings):
+    """Method splitting: ``stages`` runs of ``rollouts`` particles, with a ``seed``."""
+    return ParticleSampling(name="splitting", of=Splitting(), **settings)
+
+
+def subset_runs(**settings):
+    """Method subset, likewise."""
+    return ParticleSampling(name="subset", of=SubsetSimulation(), **settings)
 
 
 def stepped_through(method, problem, state=None, *, repetition=0):

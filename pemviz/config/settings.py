@@ -19,7 +19,7 @@ from pemviz.errors import ConfigError
 METHODS = NamedPart(
     kind="method",
     group="pemviz.methods",
-    shipped=("adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive"),
+    shipped=("adaptive", "mixture", "zero-variance", "splitting", "subset", "monte-carlo", "naive"),
 )
 """What each of them is: ``pemviz.sampling.registry``."""
 MethodName = Annotated[str, METHODS]
@@ -136,8 +136,8 @@ class ExperimentConfig:
 
     method: MethodName = "mixture"
     """How the failure probability is estimated: adaptive, mixture, zero-variance, splitting,
-    monte-carlo, naive, or a name that an installed package registers as an entry point of the
-    group pemviz.methods."""
+    subset, monte-carlo, naive, or a name that an installed package registers as an entry point of
+    the group pemviz.methods."""
     metric: MetricName = "classical"
     """Robustness metric that ranks rollouts and sets thresholds; whether a rollout violates is
     decided by the formula itself, > and < as strict as they are written. agm counts what

@@ -236,3 +236,10 @@ def averaged(kept: KeptRepetition) -> Recounted:
             _final_weighed(kept), method=kept.method, rollouts_simulated=kept.rollouts()
         )
     )
+
+
+def between_runs(kept: KeptRepetition) -> Recounted:
+    """The mean of independent runs, likewise."""
+    from pemviz.sampling.particles.estimate import recounted  # noqa: PLC0415  slow to import
+
+    return recounted(kept)

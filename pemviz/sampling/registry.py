@@ -21,13 +21,14 @@ from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.direct.description import MONTE_CARLO, NAIVE
 from pemviz.sampling.mixture.description import MIXTURE
 from pemviz.sampling.splitting.description import SPLITTING
+from pemviz.sampling.subset.description import SUBSET
 from pemviz.sampling.zero_variance.description import ZERO_VARIANCE
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
     from pemviz.sampling.method import Method
 
-SHIPPED = (ADAPTIVE, MIXTURE, ZERO_VARIANCE, SPLITTING, MONTE_CARLO, NAIVE)
+SHIPPED = (ADAPTIVE, MIXTURE, ZERO_VARIANCE, SPLITTING, SUBSET, MONTE_CARLO, NAIVE)
 METHOD_MEMBERS = ("name", "stages", "init", "step", "is_done", "estimate")
 
 

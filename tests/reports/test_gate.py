@@ -23,8 +23,7 @@ from pemviz.sampling.estimates.diagnostics import (
     IntervalBasis,
 )
 from pemviz.sampling.estimates.trust import interval_caveats
-from pemviz.sampling.registry import by_name
-from pemviz.sampling.splitting.estimate import (
+from pemviz.sampling.particles.estimate import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
     LARGE_MEAN_ERROR,
@@ -32,6 +31,7 @@ from pemviz.sampling.splitting.estimate import (
     WIDE_FACTOR,
     largest_spread,
 )
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Diagnostic, DiagnosticKind
 from tests.reports.runs import estimate, result

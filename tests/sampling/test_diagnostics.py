@@ -35,11 +35,10 @@ from pemviz.sampling.estimates.diagnostics import (
 from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.estimates.weight_diagnostics import WeightFigures, weight_figures
+from pemviz.sampling.particles.estimate import died_out, spread_diagnostics, width_diagnostics
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
-from pemviz.sampling.splitting.estimate import died_out, spread_diagnostics, width_diagnostics
-from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.types import DiagnosticKind
-from tests.toy import estimate_of
+from tests.toy import estimate_of, splitting_runs
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pemviz"
 
@@ -67,7 +66,7 @@ def counted(problem, *, rollouts, seed=0, repetition=0):
 
 
 def split(problem, *, stages, rollouts=20, repetition=0):
-    method = SplittingSampling(stages=stages, rollouts=rollouts, seed=3)
+    method = splitting_runs(stages=stages, rollouts=rollouts, seed=3)
     return estimate_of(method, problem, repetition=repetition)
 
 

@@ -14,12 +14,11 @@ from pemviz.faults import SimulationError, from_outside, signals_distinguished
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
 from pemviz.sampling.rollouts.runners import PooledRunner
-from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.run import split as splitting
 from pemviz.simulators.episodic import side_by_side
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.slot_toys import TwoCars
-from tests.toy import FunctionPem, MissCounter, constant_pem
+from tests.toy import FunctionPem, MissCounter, constant_pem, splitting_runs
 
 STATES = 12
 
@@ -77,7 +76,7 @@ def test_logits_that_are_no_finite_number_are_refused(value):
 
 
 def split(problem):
-    method = SplittingSampling(stages=2, rollouts=5, seed=0)
+    method = splitting_runs(stages=2, rollouts=5, seed=0)
     return method.step(problem, method.init(problem, repetition=0))
 
 

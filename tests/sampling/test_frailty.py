@@ -26,7 +26,6 @@ from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.simulate import replay
-from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.state import visibility
 from pemviz.sampling.state.composed import ComposedSimulator, as_member, proposal_features
 from pemviz.sampling.state.visibility import NEXT, Visibility
@@ -43,7 +42,7 @@ from tests.lattice_walk import (
     toy_unsafe,
 )
 from tests.sampling.test_memory import with_memory
-from tests.toy import estimate_of
+from tests.toy import estimate_of, splitting_runs
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=9), ToyPem(at_zero=2.5)
 CHAINS = np.array(list(itertools.product((False, True), repeat=SIMULATOR.states - 1)))
@@ -134,7 +133,7 @@ def test_every_method_agrees_with_all_chains(memory):
         MixtureSampling(
             learning_stages=4, rollouts=100, final_rollouts=500, seed=1, features=features
         ),
-        SplittingSampling(stages=10, rollouts=100, seed=1),
+        splitting_runs(stages=10, rollouts=100, seed=1),
     ):
         found = estimate_of(method, problem)
         assert found.std_error is not None

@@ -20,7 +20,6 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import sample
-from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.state.composed import (
     ComposedPem,
     ComposedSimulator,
@@ -36,7 +35,7 @@ from tests.lattice_walk import (
     ToySimulator,
     toy_problem_of,
 )
-from tests.toy import ConstantPem, MissCounter, estimate_of
+from tests.toy import ConstantPem, MissCounter, estimate_of, splitting_runs
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=13), ToyPem(at_zero=2.5)
 TAUS_S = (0.3, 1.0, 5.0, 60.0)
@@ -92,7 +91,7 @@ def test_every_method_agrees_with_all_chains(tau_s):
         MixtureSampling(
             learning_stages=4, rollouts=200, final_rollouts=2000, seed=1, features=back_end.features
         ),
-        SplittingSampling(stages=20, rollouts=200, seed=1),
+        splitting_runs(stages=20, rollouts=200, seed=1),
     ):
         found = estimate_of(method, problem)
         assert found.std_error is not None

@@ -15,7 +15,6 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.splitting.importance import MOST_EVALUATIONS, OUT_OF_REACH, importance
-from pemviz.sampling.splitting.method import SplittingSampling
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
 from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
@@ -27,7 +26,7 @@ from tests.lattice_walk import (
     toy_problem_of,
     toy_unsafe,
 )
-from tests.toy import ConstantPem, MissCounter, carried_out
+from tests.toy import ConstantPem, MissCounter, carried_out, splitting_runs
 
 
 def sampled(problem, *, count, generator):
@@ -65,7 +64,7 @@ def test_runs_are_unbiased_where_the_importance_function_misleads():
 def test_runs_that_keep_step_are_what_each_is_alone():
     """In batches of 40 rollouts runs of 30 go one by one, in batches of 90 by threes."""
     problem = toy_problem_of(ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.0))
-    method = SplittingSampling(stages=5, rollouts=30, seed=2)
+    method = splitting_runs(stages=5, rollouts=30, seed=2)
     alone, *together = (
         carried_out(method, replace(problem, batch_rollouts=size)) for size in (40, 90, 4096)
     )
@@ -83,7 +82,7 @@ def test_estimate_is_near_the_truth_and_says_how_near():
     simulator, pem = ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.5)
     truth = toy_probability_by_recursion(simulator, pem)
     found, stages = carried_out(
-        SplittingSampling(stages=10, rollouts=150, seed=4), toy_problem_of(simulator, pem)
+        splitting_runs(stages=10, rollouts=150, seed=4), toy_problem_of(simulator, pem)
     )
     assert all(stage.log10_probability is not None for stage in stages)
     assert found.ci_low < truth < found.ci_high
@@ -275,7 +274,7 @@ def test_either_outcome_may_be_the_bad_one():
 
 def test_a_violation_out_of_reach_is_no_bare_zero():
     problem = toy_problem_of(ToySimulator(initial_gap=8, states=5), ToyPem())
-    found, _ = carried_out(SplittingSampling(stages=2, rollouts=20, seed=7), problem)
+    found, _ = carried_out(splitting_runs(stages=2, rollouts=20, seed=7), problem)
     assert found.probability == 0.0
     assert found.ci_high is None
     assert found.warnings

@@ -8,15 +8,15 @@ from scipy import stats
 
 from pemviz.reports.gate import decide_gate
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
-from pemviz.sampling.splitting.estimate import (
+from pemviz.sampling.particles.estimate import (
     FEW_RUNS,
     LARGE_COMMON_ANCESTRY,
     estimate_of_runs,
     interval_between_runs,
     largest_spread,
 )
-from pemviz.sampling.splitting.method import SplittingSampling
-from pemviz.sampling.splitting.run import SplittingRun, split
+from pemviz.sampling.particles.runs import ParticleRun
+from pemviz.sampling.splitting.run import split
 from pemviz.types import RolloutBatch, ScoredRollouts
 from tests.lattice_walk import (
     ToyPem,
@@ -25,6 +25,7 @@ from tests.lattice_walk import (
     toy_problem_of,
 )
 from tests.toy import estimate_of as estimate_from
+from tests.toy import splitting_runs
 
 PARTICLES = 8
 
@@ -39,7 +40,7 @@ def run(log_probability, *, common_ancestry=0.2, levels=5, least_variance=0.01, 
         pem_logit=logit,
         proposal_logit=logit,
     )
-    return SplittingRun(
+    return ParticleRun(
         log_probability=log_probability,
         least_variance=least_variance,
         common_ancestry=common_ancestry,
@@ -110,7 +111,7 @@ def test_intervals_cover_over_seeds():
     truth = toy_probability_by_recursion(RARE.simulator, RARE.pem)
     covers = []
     for seed in range(20):
-        found = estimate_from(SplittingSampling(stages=6, rollouts=120, seed=seed), RARE)
+        found = estimate_from(splitting_runs(stages=6, rollouts=120, seed=seed), RARE)
         if found.ci_low is not None:
             covers.append(found.ci_low <= truth <= found.ci_high)
         else:

@@ -13,14 +13,13 @@ from pemviz.reports.gate import interval_caveats
 from pemviz.sampling.adaptive.method import AdaptiveSampling
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.splitting.method import SplittingSampling
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,
     toy_probability_by_recursion,
     toy_problem_of,
 )
-from tests.toy import carried_out
+from tests.toy import carried_out, splitting_runs
 
 SIMULATOR = ToySimulator(initial_gap=3, largest_gap=3, states=1000)
 
@@ -79,7 +78,7 @@ def test_mixture_is_near_or_says_that_it_is_not(seed):
 @pytest.mark.slow
 def test_splitting():
     """Its score looks ahead from each of 1,000 states: seconds a level."""
-    method = SplittingSampling(stages=2, rollouts=10, seed=4)
+    method = splitting_runs(stages=2, rollouts=10, seed=4)
     found, stages = run(method, ToyPem(at_zero=2.0, slope=0.0))
     assert_finite(found, stages)
     assert found.failures > 0

@@ -5,31 +5,36 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.description import MethodDescription, particle_budget, with_particle_budget
+from pemviz.sampling.description import (
+    MethodDescription,
+    between_runs,
+    particle_budget,
+    with_particle_budget,
+)
 
 if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
-    from pemviz.sampling.kept import KeptRepetition, Recounted
-    from pemviz.sampling.splitting.method import SplittingSampling
+    from pemviz.sampling.particles.method import ParticleSampling
 
 
-def _build(config: ExperimentConfig, back_end: BackEnd) -> SplittingSampling:  # noqa: ARG001
-    from pemviz.sampling.splitting.method import SplittingSampling  # noqa: PLC0415  slow to import
+def _build(config: ExperimentConfig, back_end: BackEnd) -> ParticleSampling:  # noqa: ARG001
+    from pemviz.sampling.particles.method import ParticleSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.splitting.run import Splitting  # noqa: PLC0415  as above
 
-    return SplittingSampling(stages=config.stages, rollouts=config.rollouts, seed=config.seed)
-
-
-def _recounted(kept: KeptRepetition) -> Recounted:
-    from pemviz.sampling.splitting.estimate import recounted  # noqa: PLC0415  slow to import
-
-    return recounted(kept)
+    return ParticleSampling(
+        name=SPLITTING.name,
+        of=Splitting(),
+        stages=config.stages,
+        rollouts=config.rollouts,
+        seed=config.seed,
+    )
 
 
 SPLITTING = MethodDescription(
     name="splitting",
     summary="adaptive multilevel splitting in independent runs, a check of the others",
     build=_build,
-    recount=_recounted,
+    recount=between_runs,
     settings=frozenset({"stages", "rollouts"}),
     budget=particle_budget,
     with_budget=with_particle_budget,

@@ -1,16 +1,29 @@
-"""One run of adaptive multilevel splitting."""
+"""Runs of adaptive multilevel splitting: rollouts that come close are cut and continued.
+
+Norden, O'Kelly, Sinha 2019 use it for black-box assessment of driving; the estimator is the
+adaptive multilevel splitting of Brehier, Gazeau, Goudenege, Lelievre, Rousset 2016, which is
+unbiased with ties.
+
+N particles follow the error model. Level l is their median; the K_l of them that never came below
+it are replaced by continuations of others, each from where it first came below. Levels fall until
+the median violates, or none came below (then mu_r = 0). F of them violate in the end. What is
+compared with levels is the importance function of :mod:`pemviz.sampling.splitting.importance`::
+
+    mu_r = (F / N) prod_l (1 - K_l / N)
+"""
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, IntArray
 from pemviz.faults import SimulationError
 from pemviz.sampling.method import VIOLATION_THRESHOLD
+from pemviz.sampling.particles.runs import ParticleRun, common_ancestry, log_product
 from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.splitting.particles import (
@@ -20,73 +33,39 @@ from pemviz.sampling.splitting.particles import (
     continued,
     restart,
 )
-from pemviz.types import ScoredRollouts
 
 KILLED_SHARE = 0.5
 MOST_LEVELS = 10_000
 
 
-@dataclass(frozen=True)
-class RunFigures:
-    """What an estimate needs of an independent run of ``count`` particles, F of which violate.
-
-    Attributes:
-        log_probability: Its estimate; -inf if the particles died out.
-        least_variance: Variance of ``log_probability`` if the importance function were the
-            probability of a violation itself: no other has a smaller one.
-        common_ancestry: Of two violating particles, how often both descend from one particle
-            at the start.
-        simulated: Rollouts begun or continued.
-        levels: How often particles were cut.
-        count: How many particles.
-        log_p: Log likelihood of those that violate under the error model, ``[F]`` [nats].
-    """
-
-    log_probability: float
-    least_variance: float
-    common_ancestry: float
-    simulated: int
-    levels: int
-    count: int
-    log_p: FloatArray
-
-    def of_share(self, share: float, *, before: float) -> Self:
-        """The same where a share of the particles counts as violating, which was ``before``."""
-        if self.log_probability == -math.inf or share == 0.0:
-            return replace(self, log_probability=-math.inf)
-        return replace(
-            self,
-            log_probability=self.log_probability + math.log(share / before),
-            least_variance=self.least_variance + (1.0 / share - 1.0 / before) / self.count,
-        )
-
-
-@dataclass(frozen=True)
-class SplittingRun(RunFigures):
-    """A run with its particles at the end, and ``common_ancestry`` of those that break a rule."""
-
-    scored: ScoredRollouts
-    rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
-
-    def under_rule(self, rule: str) -> "SplittingRun":
-        """The same particles, of which those that break one rule violate."""
-        broken = self.scored.broken[rule]
-        before = float(self.scored.violated.mean())
-        return replace(
-            self.of_share(float(broken.mean()), before=before),
-            common_ancestry=self.rule_ancestry[rule],
-            log_p=log_p_of(self.scored.rollouts, broken),
-            scored=replace(self.scored, violated=broken),
-        )
-
-
-Levels = Generator[Continuation, Particles, SplittingRun]
+Levels = Generator[Continuation, Particles, ParticleRun]
 """A run as it goes: what it wants continued, for what came of that; at the end the run."""
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """Runs of adaptive multilevel splitting, which need nothing before they begin."""
+
+    def prepare(
+        self,
+        problem: Problem,  # noqa: ARG002  nothing is to be found
+        *,
+        count: int,  # noqa: ARG002  likewise
+        generator: np.random.Generator,  # noqa: ARG002  likewise
+    ) -> tuple[Self, int]:
+        """Itself."""
+        return self, 0
+
+    def carry_out(
+        self, problem: Problem, *, count: int, generators: Sequence[np.random.Generator]
+    ) -> Sequence[ParticleRun]:
+        """See :func:`split`."""
+        return split(problem, count=count, generators=generators)
 
 
 def split(
     problem: Problem, *, count: int, generators: Sequence[np.random.Generator]
-) -> Sequence[SplittingRun]:
+) -> Sequence[ParticleRun]:
     """Independent runs with ``count`` particles each, one for each of ``generators``.
 
     At every level the particles that have not come below it are replaced by continuations of
@@ -109,7 +88,7 @@ def split(
         for index, generator in enumerate(generators)
     }
     wanted = {index: next(levels) for index, levels in going.items()}
-    runs: dict[int, SplittingRun] = {}
+    runs: dict[int, ParticleRun] = {}
     while wanted:
         try:
             found = in_time(problem, partial(continued, problem, list(wanted.values())))
@@ -160,7 +139,7 @@ def _levels(
         # the score from which on particles are replaced: the median, the higher if there are two
         place = math.ceil((1.0 - KILLED_SHARE) * (particles.count - 1))
         level = float(np.partition(particles.lowest, place)[place])
-        report(_on_the_way(sum(map(_log, shares)), level, count=count))
+        report(_on_the_way(log_product(shares), level, count=count))
         killed = particles.lowest >= level
         if level < VIOLATION_THRESHOLD or killed.all():
             break
@@ -174,24 +153,20 @@ def _levels(
     report(count)
     scored = score(problem, particles.with_proposal)
     shares.append(float(scored.violated.mean()))
-    return SplittingRun(
-        log_probability=sum(map(_log, shares)),
+    return ParticleRun(
+        log_probability=log_product(shares),
         least_variance=sum((1.0 - share) / share for share in shares if share > 0.0) / count,
-        common_ancestry=_common_ancestry(particles.ancestor[scored.violated]),
+        common_ancestry=common_ancestry(particles.ancestor[scored.violated]),
         simulated=simulated,
         levels=len(shares) - 1,
         count=count,
         log_p=log_p_of(scored.rollouts, scored.violated),
         scored=scored,
         rule_ancestry={
-            name: _common_ancestry(particles.ancestor[broken])
+            name: common_ancestry(particles.ancestor[broken])
             for name, broken in scored.broken.items()
         },
     )
-
-
-def _log(value: float) -> float:
-    return math.log(value) if value > 0.0 else -math.inf
 
 
 def _on_the_way(log_share: float, level: float, *, count: int) -> int:
@@ -212,14 +187,3 @@ def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
     whole, rest = divmod(lost, survivors)
     some = generator.permutation(survivors)[:rest]
     return np.concatenate([np.tile(np.arange(survivors), whole), some]).astype(np.int64)
-
-
-def _common_ancestry(ancestor: IntArray) -> float:
-    """Of two of the particles ``[M]``, with replacement, how often both have one ancestor.
-
-    What Lee and Whiteley 2018 (section 2.3) estimate a particle approximation's relative variance
-    from: near it where few pairs do, and at most 1 however large the variance is.
-    """
-    if not ancestor.size:
-        return 1.0
-    return float(np.sum((np.bincount(ancestor) / ancestor.size) ** 2))

@@ -1,4 +1,4 @@
-"""What independent runs of splitting say together: estimate, interval, and what is wrong with it.
+"""What independent runs of particles say together: estimate, interval, and what is wrong with it.
 
 As levels and particles grow together, the logarithm of an unbiased particle estimate of p tends
 to a normal with mean log p - s^2 / 2 and variance s^2 (Berard, Del Moral, Doucet 2014). Most runs
@@ -21,7 +21,7 @@ from pemviz.sampling.estimates.diagnostics import count_diagnostics, undermining
 from pemviz.sampling.estimates.estimators import CONFIDENCE, negative_log_likelihood
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.kept import EVERY, FIGURES, KeptRepetition, Recounted
-from pemviz.sampling.splitting.run import RunFigures, SplittingRun
+from pemviz.sampling.particles.runs import ParticleRun, RunFigures
 from pemviz.types import Diagnostic, Estimate
 
 
@@ -65,7 +65,7 @@ WIDE_FACTOR = 2.0
 
 
 def died_out(*, died: int, runs: int) -> Diagnostic:
-    """Of independent runs of splitting, in some of which all particles died out."""
+    """Of independent runs, in some of which all particles died out."""
     text = f"in {died} of {runs} runs no particle reached a violation: ask for more particles"
     return Diagnostic("died-out", float(died), 0.0, text)
 
@@ -81,7 +81,7 @@ def largest_spread(runs: int) -> float:
 def spread_diagnostics(
     *, runs: int, spread_nats: float | None, common_ancestry: float
 ) -> tuple[Diagnostic, ...]:
-    """Of independent runs of splitting that all reached a violation: why there is no interval.
+    """Of independent runs that all reached a violation: why there is no interval.
 
     ``spread_nats`` is the standard deviation of the logarithms of their estimates, ``None`` for
     one run; ``common_ancestry`` as in :class:`RunFigures`, the mean over runs.
@@ -102,7 +102,7 @@ def spread_diagnostics(
         )
         found.append(Diagnostic("few-ancestors", common_ancestry, LARGE_COMMON_ANCESTRY, text))
     if runs < FEW_RUNS:
-        text = f"{runs} runs of splitting are too few for an interval: ask for at least {FEW_RUNS}"
+        text = f"{runs} runs are too few for an interval: ask for at least {FEW_RUNS}"
         found.append(Diagnostic("few-runs", float(runs), float(FEW_RUNS), text))
     return tuple(found)
 
@@ -195,7 +195,7 @@ UNKNOWN = {"simulated": 0, "levels": 1, "least_variance": 1.0, "common_ancestry"
 SHARED = tuple(UNKNOWN)
 
 
-def columns_of(runs: Sequence[SplittingRun]) -> dict[str, AnyArray]:
+def columns_of(runs: Sequence[ParticleRun]) -> dict[str, AnyArray]:
     """Of each particle ``[N]``: what its run's share, common ancestry by each rule too."""
     values = {name: [getattr(run, name) for run in runs] for name in SHARED}
     for rule in runs[0].rule_ancestry:

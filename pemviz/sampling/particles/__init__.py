@@ -1,0 +1,1 @@
+"""Independent runs of particles: what methods ``splitting`` and ``subset`` have in common."""

@@ -1,0 +1,85 @@
+"""What one of several independent runs of particles found, and what is kept of it.
+
+Methods that cut and replace particles level by level, ``splitting`` and ``subset``, give these.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from pemviz.arrays import FloatArray, IntArray
+from pemviz.sampling.rollouts.large_stages import log_p_of
+from pemviz.types import ScoredRollouts
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """What an estimate needs of an independent run of ``count`` particles, F of which violate.
+
+    Attributes:
+        log_probability: Its estimate; -inf if the particles died out.
+        least_variance: Variance of ``log_probability`` if the importance function were the
+            probability of a violation itself: no other has a smaller one.
+        common_ancestry: Of two violating particles, how often both descend from one particle
+            at the start.
+        simulated: Rollouts begun or continued.
+        levels: How often particles were cut.
+        count: How many particles.
+        log_p: Log likelihood of those that violate under the error model, ``[F]`` [nats].
+    """
+
+    log_probability: float
+    least_variance: float
+    common_ancestry: float
+    simulated: int
+    levels: int
+    count: int
+    log_p: FloatArray
+
+    def of_share(self, share: float, *, before: float) -> Self:
+        """The same where a share of the particles counts as violating, which was ``before``."""
+        if self.log_probability == -math.inf or share == 0.0:
+            return replace(self, log_probability=-math.inf)
+        return replace(
+            self,
+            log_probability=self.log_probability + math.log(share / before),
+            least_variance=self.least_variance + (1.0 / share - 1.0 / before) / self.count,
+        )
+
+
+@dataclass(frozen=True)
+class ParticleRun(RunFigures):
+    """A run with its particles at the end, and ``common_ancestry`` of those that break a rule."""
+
+    scored: ScoredRollouts
+    rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def under_rule(self, rule: str) -> "ParticleRun":
+        """The same particles, of which those that break one rule violate."""
+        broken = self.scored.broken[rule]
+        before = float(self.scored.violated.mean())
+        return replace(
+            self.of_share(float(broken.mean()), before=before),
+            common_ancestry=self.rule_ancestry[rule],
+            log_p=log_p_of(self.scored.rollouts, broken),
+            scored=replace(self.scored, violated=broken),
+        )
+
+
+def log_product(shares: Sequence[float]) -> float:
+    """Log of a product of shares [nats]; -inf if one is 0."""
+    return sum(math.log(share) if share > 0.0 else -math.inf for share in shares)
+
+
+def common_ancestry(ancestor: IntArray) -> float:
+    """Of two of the particles ``[M]``, with replacement, how often both have one ancestor.
+
+    What Lee and Whiteley 2018 (section 2.3) estimate a particle approximation's relative variance
+    from: near it where few pairs do, and at most 1 however large the variance is.
+    """
+    if not ancestor.size:
+        return 1.0
+    return float(np.sum((np.bincount(ancestor) / ancestor.size) ** 2))

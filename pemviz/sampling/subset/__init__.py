@@ -1,0 +1,1 @@
+"""Method ``subset``: subset simulation."""
