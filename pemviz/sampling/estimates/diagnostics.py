@@ -93,7 +93,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="nothing tells during a rollout whether it has violated",
     ),
     "few-runs": Meaning(
-        phrase="of splitting are too few",
+        phrase="are too few for an interval",
         undermines=ALL,
         in_repetitions="there were too few runs for an interval",
         worst=min,
