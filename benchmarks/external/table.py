@@ -14,6 +14,8 @@ NEAR = 0.1
 """Within this share of the truth a run is right."""
 MOST = 1000.0
 """An error counts as at most this factor; so do a zero and a run without an answer."""
+OVER = 1.6
+"""Others that need more calls than this many times the budget are not compared with."""
 NOTES = (
     "Ratio: median of estimate over truth. Error: root mean square of ln(estimate / truth); a "
     f"factor of more than {MOST:g}, a zero and no answer count as a factor of {MOST:g} "
@@ -159,7 +161,7 @@ def nearer(ours: Sequence[Row], others: Sequence[Row]) -> Sequence[Nearer]:
     """For each row of ours the best of others' at the budget whose calls are nearest to its."""
     found: list[Nearer] = []
     for row in ours:
-        there = [other for other in others if other.problem == row.problem]
+        there = [o for o in others if o.problem == row.problem and _kept_to_budget(o)]
         budgets = {other.budget for other in there}
         if not budgets:
             continue
@@ -169,6 +171,10 @@ def nearer(ours: Sequence[Row], others: Sequence[Row]) -> Sequence[Nearer]:
             Nearer(row.problem, row.method, row.budget, row.error, best.method, closest, best.error)
         )
     return found
+
+
+def _kept_to_budget(row: Row) -> bool:
+    return row.calls <= OVER * float(row.budget)
 
 
 def _apart(budget: str, row: Row) -> float:

@@ -317,6 +317,8 @@ PENDULUMS = {
 CARTS = {
     "CartPole, base 2.5": 0.0,
     "CartPole, base 4": 0.0,
+    "CartPole, base 5": 0.0,
+    "CartPole, base 6": 0.9,
 }
 """By how much lower log-odds each is found again."""
 

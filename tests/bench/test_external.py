@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 from scipy.special import expit, ndtr
 
 from benchmarks.__main__ import main
+from benchmarks.external import others
 from benchmarks.external.catalogue import problems
 from benchmarks.external.motions import dimension, limit_function
 from benchmarks.external.problems import chosen, experiment_of
@@ -180,3 +183,44 @@ def test_the_command_lists_problems(capsys):
     printed = capsys.readouterr().out
     assert "RP8 " in printed
     assert "RP89" not in printed
+
+
+def counting(function, size, seed):
+    """Plain Monte Carlo, as another program's method."""
+    fails = function(np.random.default_rng(seed).standard_normal((size, function.dimension))) < 0.0
+    return others.Answer(float(fails.mean()), warned=("few",) if fails.sum() < 3 else ())
+
+
+def raising(function, size, seed):
+    function(np.zeros(function.dimension))
+    raise ValueError("moon")
+
+
+def endless(function, size, seed):
+    while True:
+        function(np.zeros((3, function.dimension)))
+
+
+def test_others_are_given_their_calls(tmp_path, monkeypatch, capsys):
+    """At 4e-2 of 800 within 5 standard errors; what raises or does not end is no answer."""
+    methods = {"counting": counting, "raising": raising, "endless": endless}
+    monkeypatch.setattr(others, "SIZED", {"counting": counting})
+    monkeypatch.setattr(others, "METHODS", methods)
+    monkeypatch.setattr(others, "PACKAGES", ())
+    out = tmp_path / "others.jsonl"
+    words = ["--out", str(out), "--problems", "RP60", "--methods", *methods, "--limit-s", "1"]
+    others.main([*words, "--budget", "800", "--seeds", "1"])
+    others.main([*words, "--budget", "800", "--seeds", "1"])
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 3
+    found = {one.method: one for one in read_runs(out).values()}
+    assert found["counting"].calls == 800
+    assert found["counting"].estimate == pytest.approx(0.0448, abs=5 * math.sqrt(0.0448 / 800))
+    assert found["raising"].warned == ("ValueError: moon",)
+    assert (found["raising"].estimate, found["raising"].calls) == (None, 1)
+    assert found["endless"].warned == ("took longer than 1 s",)
+
+
+def test_others_need_no_pemviz():
+    code = "import sys, benchmarks.external.others; print('pemviz' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
