@@ -12,12 +12,13 @@ def share_for(*, drawn_steps: float, steps: int) -> float:
     return min(drawn_steps / steps, LARGEST_SHARE)
 
 
-def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float) -> FloatArray:
+def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float | FloatArray) -> FloatArray:
     """The mixture of a proposal (weight 1 - share) and the error model, as logits ``[...]``.
 
-    A single outcome's weight is at most 1 / share, whatever the proposal; share is in (0, 1).
+    A single outcome's weight is at most 1 / share, whatever the proposal; share is in (0, 1),
+    one for all or ``[...]``.
     """
-    log_share, log_rest = float(np.log(share)), float(np.log1p(-share))
+    log_share, log_rest = np.log(share), np.log1p(-share)
     detected = np.logaddexp(
         log_rest - np.logaddexp(0.0, -logit), log_share - np.logaddexp(0.0, -pem_logit)
     )

@@ -199,7 +199,8 @@ class OffsetLogisticProposal:
         basis: Monomials of it.
         coefficients: ``[B]``; or ``[N, B]``, for N rollouts a row each.
         violated: Name of the memory that says whether a rollout has violated already.
-        defensive: Share of the error model in every outcome's probability.
+        defensive: Share of the error model in every outcome's probability; of N rollouts each its
+            own, ``[N]``.
         latents: What is stored beside it of how latents are moved.
     """
 
@@ -207,7 +208,7 @@ class OffsetLogisticProposal:
     basis: PolynomialBasis
     coefficients: FloatArray
     violated: str
-    defensive: float
+    defensive: float | FloatArray
     latents: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
@@ -224,7 +225,8 @@ class OffsetLogisticProposal:
         by_row = self.coefficients.ndim > 1
         coefficients = self.coefficients[acts] if by_row else self.coefficients
         logit = under_pem - shift(self.basis.evaluate(values), coefficients)
-        result[acts] = defended(logit, under_pem, share=self.defensive)
+        share = self.defensive[acts] if isinstance(self.defensive, np.ndarray) else self.defensive
+        result[acts] = defended(logit, under_pem, share=share)
         return result
 
     def arrays(self) -> Mapping[str, AnyArray]:

@@ -157,17 +157,20 @@ def test_a_batch_in_pieces_gives_the_same_rollouts():
 
 
 @pytest.mark.parametrize(
-    ("shares", "explores", "expected"),
+    ("shares", "explores", "plain", "expected"),
     [
-        ((), True, (100, 0, 0)),
-        ((1.0,), True, (25, 75, 0)),
-        ((0.75, 0.25), True, (25, 57, 18)),
-        ((1.0,), False, (10, 90, 0)),
+        ((), True, 0.0, (100, 0, 0, 0)),
+        ((), True, 0.1, (90, 10, 0, 0)),
+        ((1.0,), True, 0.0, (25, 0, 75, 0)),
+        ((0.75, 0.25), True, 0.0, (25, 0, 57, 18)),
+        ((1.0,), False, 0.0, (10, 0, 90, 0)),
+        ((0.75, 0.25), False, 0.5, (5, 50, 34, 11)),
+        ((0.75, 0.25), False, 0.9, (1, 90, 7, 2)),
     ],
 )
-def test_what_a_stage_draws_from(shares, explores, expected):
-    found = components(100, first=4, shares=shares, explores=explores)
-    assert tuple((found == index).sum() for index in (0, 4, 5)) == expected
+def test_what_a_stage_draws_from(shares, explores, plain, expected):
+    found = components(100, first=4, shares=shares, explores=explores, plain=plain)
+    assert tuple((found == index).sum() for index in (0, 1, 4, 5)) == expected
 
 
 def test_a_level_is_as_low_as_the_weights_tell():

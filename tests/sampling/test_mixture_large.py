@@ -11,7 +11,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, StartMoves
 from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.balance_heuristic import balance_weights, latent_ratios
+from pemviz.sampling.mixture.balance_heuristic import PLAIN, balance_weights, latent_ratios
 from pemviz.sampling.mixture.estimate import disagreements
 from pemviz.sampling.mixture.failure_modes import at_most
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -95,12 +95,12 @@ def test_weights_do_not_depend_on_what_is_held():
     """The same rollouts and proposals, all in the pool or few: to the last bit."""
     problem = toy_problem_of(WALK, PEM)
     _, state, results = ended(problem, seed=3, enough=400, rollouts=200)
-    moves = state.pool.proposals[0]
+    moves = state.pool.proposals[1]
     terms = Terms(features=state.features, basis=state.basis, defensive=0.1)
     pools = {"all": None, "few": None}
     for stage in (0, 1, 5):
         scored = results[stage].scored
-        component = np.arange(scored.rollouts.count) * min(stage, 1) % 2
+        component = 2 * (np.arange(scored.rollouts.count) * min(stage, 1) % 2)
         for name, pool in pools.items():
             rows = np.flatnonzero(scored.violated | (np.arange(scored.rollouts.count) % 7 == 0))
             few = Joining(scored.take(rows), rows, np.zeros(rows.size))
@@ -188,21 +188,23 @@ def test_answers_are_the_same_to_the_last_bit(ends, name, rule):
     (method, whole), (_, few) = ends["all"], ends[name]
     if rule is not None:
         whole, few = (method.under_rule(state, rule) for state in (whole, few))
-    expected, violated = method.estimate(whole), whole.pool.violated
+    expected, violated = method.estimate(whole), whole.pool.judged.violated
     assert 20 < expected.failures < 500
     assert method.estimate(few) == expected
     weights = method.pooled_log_weight(few)
     np.testing.assert_array_equal(weights[violated], method.pooled_log_weight(whole)[violated])
-    np.testing.assert_array_equal(few.pool.violated, violated)
+    np.testing.assert_array_equal(few.pool.judged.violated, violated)
     np.testing.assert_array_equal(few.pool.component, whole.pool.component)
 
 
 def test_of_a_final_batch_the_weights_of_violations_are_kept(ends):
     whole, few = (ends[name][1].pool for name in ("all", "pieces"))
-    learned, final = 4 * 60, slice(4 * 60, None)
+    learned, plain = whole.count - 300, whole.component[: 4 * 60] == PLAIN
+    final = slice(learned, None)
     violations = int(whole.violated[final].sum())
     assert 20 < violations < 300
-    assert few.count == whole.count == learned + 300
+    held = plain & ~whole.judged.violated[: 4 * 60]
+    assert few.count == whole.count == 4 * 60 - held.sum() + 300
     assert len(whole.log_ratio) == whole.count
     for ratio in (few.log_ratio, *few.rule_log_ratio.values()):
         assert len(ratio) == learned
@@ -210,9 +212,9 @@ def test_of_a_final_batch_the_weights_of_violations_are_kept(ends):
     assert max(part.rollout.size for part in few.failing) <= 7
     assert isinstance(few.decisions.basis, Monomials)
     np.testing.assert_array_equal(few.decisions.basis[:], whole.decisions.basis)
-    held = np.flatnonzero(~np.isnan(few.log_weight))
+    weighed = np.flatnonzero(~np.isnan(few.log_weight))
     expected = np.r_[np.arange(learned), learned + np.flatnonzero(whole.violated[final])]
-    np.testing.assert_array_equal(held, expected)
+    np.testing.assert_array_equal(weighed, expected)
 
 
 @pytest.mark.parametrize("once", [False, True])

@@ -11,7 +11,7 @@ from pemviz.errors import ConfigError
 from pemviz.proposals.defensive import share_for
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
+from pemviz.sampling.mixture.balance_heuristic import PLAIN
 from pemviz.sampling.mixture.stages import several_rules
 from pemviz.simulators.check import check_simulator
 from pemviz.types import outcome_log_likelihood
@@ -60,7 +60,7 @@ def log_ratio_of(state, rollouts, moves, rule):
         basis=state.basis,
         coefficients=moves.coefficients,
         violated="nothing",
-        defensive=share_for(drawn_steps=2.0, steps=STATES - 1),
+        defensive=moves.defensive or share_for(drawn_steps=2.0, steps=STATES - 1),
     )
     logit = proposal.logit(rollouts.decision_states(), rollouts.pem_logit)
     each = outcome_log_likelihood(logit, rollouts.detected) - rollouts.log_p
@@ -73,9 +73,12 @@ def log_ratio_of(state, rollouts, moves, rule):
 def test_a_rollout_counts_until_the_rule_is_broken(drawn, rule):
     _, state, rollouts = drawn
     pool = state.pool if rule is None else state.pool.under_rule(rule)
-    found = pool.log_ratio[-rollouts.count :, 1:]
-    assert {moves.rule for moves in pool.proposals} == set(RULES)
-    for place, moves in enumerate(pool.proposals):
+    plain, *fitted = pool.proposals
+    assert not plain.coefficients.any()
+    assert not pool.log_ratio[-rollouts.count :, PLAIN].any()
+    found = pool.log_ratio[-rollouts.count :, PLAIN + 1 :]
+    assert {moves.rule for moves in fitted} == set(RULES)
+    for place, moves in enumerate(fitted):
         expected = log_ratio_of(state, rollouts, moves, rule)
         np.testing.assert_allclose(found[:, place], expected, atol=1e-9)
 
@@ -86,7 +89,7 @@ def test_a_proposal_leaves_the_error_model_until_its_rule_is_broken(drawn):
     component = state.pool.component[-rollouts.count :]
     steps, gap = np.arange(STATES - 1), rollouts.signals["gap"]
     after = 0
-    for place in np.unique(component[component != EXPLORATION]):
+    for place in np.unique(component[component > PLAIN]):
         rows = np.flatnonzero(component == place)
         until = steps_until(gap[rows], state.pool.proposals[place - 1].rule)
         broken = steps >= until[:, None]

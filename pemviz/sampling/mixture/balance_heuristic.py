@@ -22,9 +22,9 @@ from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import Monomials, outcome_ratios, shift, some_at_once
 from pemviz.simulators.absorbing import violated_rule
 
-EXPLORATION = 0
-"""The component that stands for the exploration proposals' family; the fitted proposals count from
-1."""
+EXPLORATION, PLAIN = 0, 1
+"""The components that stand for the exploration proposals' family and for the error model itself,
+which is the first proposal of every pool; the fitted ones count from 2."""
 ROWS_AT_ONCE = 1 << 14
 """Of ratios, whose exponentials take several times their own memory."""
 MORE_THAN_HALF = 0.5
@@ -198,11 +198,13 @@ class FittedMoves:
         coefficients: Of outcomes, ``[B]``.
         means: How it moves latents, where there are any.
         rule: Which it is to break, and until when it leaves the error model.
+        defensive: Share of the error model in every outcome's probability; ``None``: the least.
     """
 
     coefficients: FloatArray
     means: LatentMeans | None = None
     rule: Rule = None
+    defensive: float | None = None
 
 
 @dataclass(frozen=True)
@@ -229,8 +231,8 @@ class Pool:
     Attributes:
         decisions: Of the M rollouts but the final ones.
         component: What each of all was sampled from, ``[N]``: 0 is the exploration proposals'
-            family, k the k-th fitted proposal.
-        proposals: Each fitted one, K in all.
+            family, k the k-th proposal.
+        proposals: The error model itself, then each fitted one, K in all.
         log_ratio: Log q_k / p of each rollout under the family and each proposal, ``[M, 1 + K]``:
             of what it was until the rule at hand was broken. None of a large final batch's.
         robustness: ``[M]``.
@@ -428,10 +430,16 @@ def log_ratios(
         found = _some_at_a_time(decisions, proposals, count, defensive, rules, under)
     else:
         found = [np.zeros((count, len(proposals))) for _ in under]
-        log_ratio = outcome_ratios(decisions.offset, decisions.missed, share=defensive)
+        shares = [defensive if one.defensive is None else one.defensive for one in proposals]
+        by_share = {
+            share: outcome_ratios(decisions.offset, decisions.missed, share=share)
+            for share in dict.fromkeys(shares)
+        }
         until = [still_open(decisions.broken, rules, rule) for rule in under]
         for column, one in enumerate(proposals):
-            step = log_ratio(shift(decisions.basis, one.coefficients))
+            if not one.coefficients.any():  # the error model itself
+                continue
+            step = by_share[shares[column]](shift(decisions.basis, one.coefficients))
             own = still_open(decisions.broken, rules, one.rule) if one.rule else None
             step = where_open(step, own)
             for each, open_there in zip(found, until, strict=True):

@@ -10,14 +10,16 @@ drawn from proposal q_k::
     weight    w_i = p(tau_i) / sum_k (n_k / N) q_k(tau_i)
     estimate  mu  = 1 / N sum_i 1[i violates] w_i
 
-The first stage draws from a broad family of exploration proposals alone
+The first stage draws from a broad family of exploration proposals
 (:mod:`pemviz.proposals.exploration`), which is q_0 as a whole, and every later one a share of its
-rollouts. The rest come from the newest proposal fitted to the violations; in the first half of the
-stages, while the weights do not tell the probability of a violation well, a quarter of them from
-one fitted to the lowest level of robustness whose probability they do tell
-(:mod:`pemviz.sampling.mixture.fit`). Another quarter comes from proposals for failure modes that
-the newest would hardly draw, in the second half only where they carry a thousandth of the estimate
-already (:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
+rollouts. So many as pay are plain rollouts, from p itself
+(:mod:`pemviz.sampling.mixture.plain`). The rest come from the newest proposal fitted to the
+violations, a quarter of them with d raised to a tenth; in the first half of the stages, while the
+weights do not tell the probability of a violation well, a quarter of them from one fitted to the
+lowest level of robustness whose probability they do tell (:mod:`pemviz.sampling.mixture.fit`).
+Another quarter comes from proposals for failure modes that the newest would hardly draw, in the
+second half only where they carry a thousandth of the estimate already
+(:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
 proposals of its own, in equal shares; a proposal and a rollout's likelihood go as far as the rule
 at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
@@ -55,7 +57,8 @@ from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
 from pemviz.sampling.mixture.fit import FitSettings, next_proposals
-from pemviz.sampling.mixture.pooling import Terms, extended, first_basis
+from pemviz.sampling.mixture.plain import PlainRollouts
+from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
@@ -96,8 +99,10 @@ class MixtureSampling:
         """Exploration, K learning stages and the final one, or its parts."""
         return self.learning_stages + 1 + len(self._final_sizes())
 
-    def init(self, problem: Problem, *, repetition: int) -> MixtureState:
-        """Nothing is sampled yet."""
+    def init(
+        self, problem: Problem, *, repetition: int, plain: PlainRollouts | None = None
+    ) -> MixtureState:
+        """Nothing is sampled yet, but for plain rollouts that count beside the first stage's."""
         features = self.features or SignalFeatures(problem.simulator.signals)
         absorbing = problem.unsafe is not None or problem.monitor is not None
         return MixtureState(
@@ -109,6 +114,7 @@ class MixtureSampling:
             starts=latent_counts(problem.simulator).start,
             rules=stages.several_rules(problem),
             many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
+            before=plain,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
@@ -117,7 +123,8 @@ class MixtureSampling:
         last = self._is_last(state)
         sampled = self._sampled(problem, state)
         basis = state.basis or first_basis(sampled.joining.sample, state.features)
-        pool = self._pooled(state, basis, sampled.joining, self._components(state, sampled.count))
+        component = self._components(state, sampled.count)
+        pool = self._pooled(state, basis, sampled, component)
         advanced = replace(
             state,
             stage=state.stage + 1,
@@ -135,6 +142,8 @@ class MixtureSampling:
         if last:
             return advanced, result
         began = time.perf_counter()
+        first = 0 if state.pool is None else state.pool.sampled
+        plain = state.plain.after(pool, first=first, planned=self._planned_rollouts)
         fits = next_proposals(
             pool,
             basis,
@@ -143,7 +152,7 @@ class MixtureSampling:
             explores=self._explores(advanced.stage),
             for_final=self._is_last(advanced),
         )
-        advanced = replace(advanced, fits=fits)
+        advanced = replace(advanced, fits=fits, plain=plain)
         return advanced, replace(
             result,
             kind="pretrain" if state.stage == 0 else "learn",
@@ -230,6 +239,10 @@ class MixtureSampling:
         return in_parts.sample(problem, part)
 
     @property
+    def _planned_rollouts(self) -> int:
+        return (self.learning_stages + 1) * self.rollouts + self.final_rollouts
+
+    @property
     def _in_parts(self) -> InParts | None:
         """How stages that are learned from are sampled, if they are large."""
         large = self.rollouts > self.enough
@@ -255,34 +268,43 @@ class MixtureSampling:
 
     def _components_of_part(self, state: MixtureState, count: int) -> IntArray:
         """Likewise of rollouts that are sampled together."""
-        known = len(state.pool.proposals) if state.pool else 0
+        known = len(state.pool.proposals) if state.pool else 1
         return stages.components(
             count,
             # the parts of the final batch after the first bring no proposal that is new
             first=1 + known - (len(state.fits) if state.frozen else 0),
             shares=[fit.share for fit in state.fits],
             explores=self._explores(state.stage),
+            plain=state.plain.share,
         )
 
     def _pooled(
-        self, state: MixtureState, basis: PolynomialBasis, joining: Joining, component: IntArray
+        self,
+        state: MixtureState,
+        basis: PolynomialBasis,
+        sampled: SampledStage,
+        component: IntArray,
     ) -> Pool:
         """The pool with the stage's rollouts."""
         new, last = () if state.frozen else state.fits, self._is_last(state)
+        terms = Terms(
+            features=state.features,
+            basis=basis,
+            defensive=stages.defence(sampled.scored.rollouts.detected.shape[1]),
+            turns=state.turns,
+            starts=state.starts,
+            rules=state.rules,
+            many=state.many,
+        )
+        pool = state.pool
+        if pool is None and state.before is not None:
+            pool = with_plain(state.before, terms)
         return extended(
-            state.pool,
-            joining,
+            pool,
+            sampled.joining if last else sampled.joining_beside(component),
             component=component,
             new=[(fit.moves, fit.optimism) for fit in new],
-            terms=Terms(
-                features=state.features,
-                basis=basis,
-                defensive=stages.defence(joining.scored.rollouts.detected.shape[1]),
-                turns=state.turns,
-                starts=state.starts,
-                rules=state.rules,
-                many=state.many,
-            ),
+            terms=terms,
             last=last,
             planned=self._planned(state, last=last),
         )

@@ -9,7 +9,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.exploration import ExplorationFamily, LatentFamily
-from pemviz.proposals.latent_moves import LatentDecisions, even_logit
+from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, even_logit
 from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis, StateFeatures
 from pemviz.sampling.mixture import balance_heuristic as balance
 from pemviz.sampling.mixture.balance_heuristic import (
@@ -20,12 +20,16 @@ from pemviz.sampling.mixture.balance_heuristic import (
     Pool,
     Rule,
 )
+from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.stages import Joining
 from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
 
-DEGREE = 3
-"""Of monomials."""
+DEGREE, LOWER_DEGREE = 3, 2
+"""Of monomials; the lower one where those of the other would be more than ``MOST_MONOMIALS``."""
+MOST_MONOMIALS = 100
+"""As many as a stage has rollouts by default. A fit with more of them follows the chains of errors
+that it has met, and draws others that are as likely hundreds of times too seldom."""
 FAILING_AT_ONCE = 2_000
 """Of a large final batch's violations: each decision's monomials take as much as a rollout's steps
 otherwise do."""
@@ -66,7 +70,9 @@ def first_basis(scored: ScoredRollouts, features: StateFeatures) -> PolynomialBa
     acts = logistic.acting(features, states, shape, violated=VIOLATED)
     values = features.values(states)
     values = np.broadcast_to(values, (*acts.shape, values.shape[-1]))[acts]
-    return PolynomialBasis.standardised_by(values, degree=DEGREE)
+    basis = PolynomialBasis.standardised_by(values, degree=DEGREE)
+    many = len(basis.exponents) > MOST_MONOMIALS
+    return replace(basis, degree=LOWER_DEGREE) if many else basis
 
 
 def extended(
@@ -94,7 +100,8 @@ def extended(
             those that violate.
     """
     moves = [each for each, _ in new]
-    proposals = (*(pool.proposals if pool else ()), *moves)
+    known = pool.proposals if pool else (_error_model(joining.scored.rollouts, terms),)
+    proposals = (*known, *moves)
     if pool is not None and planned is not None:
         fresh = _failing_of(joining.scored, component, proposals, terms, planned, pool.count)
     else:
@@ -117,6 +124,17 @@ def extended(
         by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
         pool = replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule)
     return _joined(pool, fresh, last=last)
+
+
+def with_plain(plain: PlainRollouts, terms: Terms) -> Pool:
+    """The pool of plain rollouts alone, of which those that violate are known."""
+    return extended(
+        None,
+        Joining(plain.violating, plain.row),
+        component=np.full(plain.count, balance.PLAIN, dtype=np.int64),
+        new=(),
+        terms=terms,
+    )
 
 
 def _pool_of(
@@ -192,6 +210,18 @@ def _failing_of(  # noqa: PLR0917  as _pool_of takes them
         broken=scored.broken,
         failing=tuple(failing),
     )
+
+
+def _error_model(rollouts: RolloutBatch, terms: Terms) -> FittedMoves:
+    """The proposal that moves nothing."""
+    means, latents = None, rollouts.latents
+    if latents is not None and (terms.starts or latents.noise.shape[2]):
+        means = LatentMeans.unmoved(
+            start=terms.starts,
+            noise=latents.noise.shape[2],
+            basis=len(terms.basis.with_outcome().exponents),
+        )
+    return FittedMoves(np.zeros(len(terms.basis.exponents)), means)
 
 
 def _by_exploration(

@@ -16,7 +16,7 @@ figure, the final batch's, does not move.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -33,11 +33,13 @@ from pemviz.proposals.exploration import (
     LatentExploration,
     LatentFamily,
 )
+from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_moves import LatentMeans, StartMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
-from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, Pool, TargetRules
+from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit
-from pemviz.sampling.problem import FinishedStage, Problem, sample
+from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
+from pemviz.sampling.problem import FinishedStage, Problem, sample, sample_batches
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
@@ -64,9 +66,9 @@ class DividedProposal:
     Attributes:
         exploration: Of all N rollouts; without a step for those that are not exploration proposals.
             What they look at is what the fitted ones do.
-        fitted: With coefficients ``[N, B]``, 0 for exploration proposals; ``None`` if all are
-            exploration proposals.
-        explored: Which are, ``[N]``.
+        fitted: With coefficients ``[N, B]``, 0 for exploration proposals; ``None`` if none is
+            fitted.
+        explored: Which are exploration proposals, or the error model itself, ``[N]``.
         targets: The rule that each is to break, and until when it leaves the error model.
     """
 
@@ -96,7 +98,11 @@ class DividedProposal:
         """What some of the rollouts are sampled from."""
         fitted = self.fitted
         if fitted is not None:
-            fitted = replace(fitted, coefficients=fitted.coefficients[rows])
+            fitted = replace(
+                fitted,
+                coefficients=fitted.coefficients[rows],
+                defensive=np.asarray(fitted.defensive)[rows],
+            )
         return replace(
             self,
             exploration=self.exploration.rows(rows),
@@ -184,22 +190,28 @@ class DividedMoves(DividedProposal):
         )
 
 
-def components(count: int, *, first: int, shares: Sequence[float], explores: bool) -> IntArray:
+def components(
+    count: int, *, first: int, shares: Sequence[float], explores: bool, plain: float
+) -> IntArray:
     """What each of ``count`` rollouts is sampled from, ``[count]``, in ascending order.
 
     Args:
         count: Number of rollouts.
         first: Component of the first fitted proposal, which gets what is left over.
-        shares: Of the fitted proposals in the rollouts that are not exploration proposals; empty:
-            all are.
+        shares: Of the fitted proposals in the rollouts that are neither plain nor exploration
+            proposals; empty: there are none.
         explores: Whether the stage is one of the first.
+        plain: Share of the rollouts that is sampled from the error model itself, below 1.
     """
+    by_model = int(plain * count)
+    rest = count - by_model
     if not shares:
-        return np.full(count, EXPLORATION, dtype=np.int64)
-    exploration = max(1, int((EARLY_EXPLORATION_SHARE if explores else EXPLORATION_SHARE) * count))
-    others = [int(share * (count - exploration)) for share in shares[1:]]
-    numbers = [exploration, count - exploration - sum(others), *others]
-    return np.repeat([EXPLORATION, *range(first, first + len(shares))], numbers).astype(np.int64)
+        return np.repeat([EXPLORATION, PLAIN], [rest, by_model]).astype(np.int64)
+    exploration = max(1, int((EARLY_EXPLORATION_SHARE if explores else EXPLORATION_SHARE) * rest))
+    others = [int(share * (rest - exploration)) for share in shares[1:]]
+    numbers = [exploration, by_model, rest - exploration - sum(others), *others]
+    kinds = [EXPLORATION, PLAIN, *range(first, first + len(shares))]
+    return np.repeat(kinds, numbers).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -221,6 +233,8 @@ class MixtureState:
         starts: Random values at the start of a rollout.
         rules: Names, where there are several.
         many: Whether the learning stages have more rollouts than are sampled at once.
+        before: Plain rollouts from before the first stage.
+        plain: What plain rollouts have told so far, and how many the next stage has.
     """
 
     repetition: int
@@ -235,6 +249,8 @@ class MixtureState:
     starts: int = 0
     rules: tuple[str, ...] = ()
     many: bool = False
+    before: PlainRollouts | None = None
+    plain: PlainViolations = field(default_factory=PlainViolations)
 
     @property
     def final(self) -> slice:
@@ -273,23 +289,46 @@ def sampled(
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
-    rules = several_rules(problem)
-    if rules:
-        each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
-        problem = replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
-    else:
-        problem = with_absorbing_violation(problem)
+    problem = _remembering(problem)
     proposal = _divided(problem, state, component, np.random.default_rng(seeds.spawn(1)[0]))
     return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
+
+
+def sampled_plainly(
+    problem: Problem, count: int, *, seeds: np.random.SeedSequence
+) -> PlainRollouts:
+    """Rollouts from the error model, which can join a run's first stage.
+
+    Raises:
+        SimulationError: A batch has something that is no finite number, or takes too long.
+    """
+    first, row, violating = 0, list[IntArray](), list[ScoredRollouts]()
+    model = PemProposal()
+    for batch in sample_batches(_remembering(problem), proposal=model, count=count, seeds=seeds):
+        own = np.flatnonzero(batch.violated).astype(np.int64)
+        row.append(first + own)
+        violating.append(batch.take(own))
+        first += batch.rollouts.count
+    return PlainRollouts(count, np.concatenate(row), ScoredRollouts.concatenate(violating))
+
+
+def _remembering(problem: Problem) -> Problem:
+    """The problem whose states remember what is broken: up to there outcomes count."""
+    rules = several_rules(problem)
+    if not rules:
+        return with_absorbing_violation(problem)
+    each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
+    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
 
 
 def _divided(
     problem: Problem, state: MixtureState, component: IntArray, generator: np.random.Generator
 ) -> DividedProposal:
     """The proposals of rollouts that are to be sampled from given components."""
-    steps, explored = problem.simulator.states - 1, component == EXPLORATION
-    count, first = int(explored.sum()), int(component[~explored].min(initial=component.max()))
-    fits = [None if c == EXPLORATION else state.fits[c - first] for c in component.tolist()]
+    steps, explored = problem.simulator.states - 1, component <= PLAIN
+    count = int((component == EXPLORATION).sum())
+    first = int(component[~explored].min(initial=component.max()))
+    fits = [None if c <= PLAIN else state.fits[c - first] for c in component.tolist()]
     exploration = ExplorationFamily.over(steps, turns=state.turns).sampled(
         count, generator, features=state.features, violated=VIOLATED, of=component.size
     )
@@ -297,7 +336,13 @@ def _divided(
     if fitted is not None:
         nothing = np.zeros(fitted.coefficients.size)
         rows = [nothing if fit is None else fit.coefficients for fit in fits]
-        fitted = replace(fitted, coefficients=np.stack(rows))
+        own = [None if fit is None else fit.defensive for fit in fits]
+        least = defence(steps)
+        fitted = replace(
+            fitted,
+            coefficients=np.stack(rows),
+            defensive=np.array([least if share is None else share for share in own]),
+        )
     targets = TargetRules.of(state.rules, [fit.rule if fit else None for fit in fits])
     counts = latent_counts(problem.simulator)
     if not counts:
@@ -375,6 +420,17 @@ class SampledStage:
     def count(self) -> int:
         """How many were sampled."""
         return self.scored.rollouts.count if self.sampled is None else self.sampled.count
+
+    def joining_beside(self, component: IntArray) -> Joining:
+        """Those that join to be learned from: of plain ones what violates; the others count.
+
+        ``component`` is what each was sampled from, ``[N]``.
+        """
+        scored = self.joining.scored
+        if self.joining.row is not None or not (component == PLAIN).any():
+            return self.joining
+        row = np.flatnonzero(scored.violated | (component != PLAIN)).astype(np.int64)
+        return Joining(scored.take(row), row)
 
 
 @dataclass(frozen=True)
