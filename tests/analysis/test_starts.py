@@ -76,6 +76,7 @@ SIZES = {
     "naive": {"final_rollouts": 8_000},
     "mixture": {"rollouts": 400, "stages": 4, "final_rollouts": 4_000},
     "splitting": {"rollouts": 1_000, "stages": 5},
+    "subset": {"rollouts": 2_000, "stages": 5},
 }
 
 

@@ -29,10 +29,11 @@ def test_budgets_are_kept_to_the_rollout(method, rollouts):
 
 @pytest.mark.parametrize("rollouts", [60, 1200, 11_000])
 @pytest.mark.parametrize(
-    "method", ["adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive"]
+    "method",
+    ["adaptive", "mixture", "zero-variance", "splitting", "subset", "monte-carlo", "naive"],
 )
 def test_every_method_spends_what_it_is_given(method, rollouts):
-    """Counted as a run counts them: by splitting, its particles."""
+    """Counted as a run counts them: by splitting and subset, their particles."""
     config = with_budget(ExperimentConfig(), method=method, rollouts=rollouts)
     assert build_experiment(config).planned_rollouts == rollouts
 

@@ -35,7 +35,7 @@ class Displays:
         self.shares.append((task.completed / task.total, self._watcher.progress.share))
 
 
-@pytest.mark.parametrize("method", ["mixture", "splitting", "monte-carlo"])
+@pytest.mark.parametrize("method", ["mixture", "splitting", "subset", "monte-carlo"])
 def test_both_displays_go_from_nothing_to_the_whole(method):
     config = ExperimentConfig(
         method=method,

@@ -31,6 +31,7 @@ def read_csv(content):
     [
         {"method": "mixture", "stages": 2, "rollouts": 60, "final_rollouts": 80, "repetitions": 2},
         {"method": "splitting", "stages": 6, "rollouts": 40, "repetitions": 2},
+        {"method": "subset", "stages": 6, "rollouts": 40, "repetitions": 2},
         {"method": "monte-carlo", "final_rollouts": 50},
     ],
     ids=lambda changes: changes["method"],

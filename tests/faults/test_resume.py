@@ -25,7 +25,9 @@ SMALL = ExperimentConfig(method="adaptive",
     stages=3, rollouts=40, final_rollouts=60, epochs=5, repetitions=2, seed=11,
     scenario=ScenarioConfig(states=100),
 )  # fmt: skip
-METHODS = ("adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive")
+METHODS = (
+    "adaptive", "mixture", "zero-variance", "splitting", "subset", "monte-carlo", "naive",
+)  # fmt: skip
 FILES = ("config.toml", "rollouts.npz", "proposals.safetensors")
 
 

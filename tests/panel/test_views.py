@@ -237,11 +237,12 @@ def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
         return text + " ".join(line.name for line in learning_tab.proposal_curves(run).lines)
 
     assert "older stages fade" in page("adaptive")
-    for method in ("splitting", "monte-carlo", "naive", "zero-variance"):
+    for method in ("splitting", "subset", "monte-carlo", "naive", "zero-variance"):
         assert "proposal after stage" not in page(method)
         assert "a stage alone" not in page(method)
     assert "cut and continued" in page("splitting")
     assert "Threshold" not in page("splitting")
+    assert "some of their random numbers changed" in page("subset")
     assert "optimal proposal" in page("zero-variance")
 
 

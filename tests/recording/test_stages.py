@@ -119,7 +119,8 @@ def stages_of(method):
 
 
 @pytest.mark.parametrize(
-    "method", ["adaptive", "mixture", "zero-variance", "splitting", "monte-carlo", "naive"]
+    "method",
+    ["adaptive", "mixture", "zero-variance", "splitting", "subset", "monte-carlo", "naive"],
 )
 def test_no_interval_contradicts_its_estimate(method):
     figures = [stage_figures(stage, method=method) for stage in stages_of(method)]
@@ -130,10 +131,11 @@ def test_no_interval_contradicts_its_estimate(method):
         assert row.log10_ci_low <= row.log10_probability <= row.log10_ci_high
 
 
-def test_a_run_of_splitting_has_an_estimate_and_no_interval():
+@pytest.mark.parametrize("method", ["splitting", "subset"])
+def test_a_run_of_particles_has_an_estimate_and_no_interval(method):
     """One run tells nothing of how far runs differ, and its particles carry no weights."""
-    for stage in stages_of("splitting"):
-        row = stage_figures(stage, method="splitting")
+    for stage in stages_of(method):
+        row = stage_figures(stage, method=method)
         assert row.log10_probability == stage.log10_probability < 0.0
         assert (row.log10_ci_low, row.log10_ci_high) == (None, None)
 

@@ -134,7 +134,7 @@ def bound_words(upper, caveats):
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_of_several_diagnostics_the_least_favourable_decides(first, second):
-    for method, upper in product(("monte-carlo", "mixture", "splitting"), UPPER.values()):
+    for method, upper in product(("monte-carlo", "mixture", "splitting", "subset"), UPPER.values()):
         alone = [
             decide_gate(
                 estimate(method=method, ci_high=upper, diagnostics=wrong(kind)), limit=LIMIT

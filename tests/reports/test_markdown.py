@@ -128,6 +128,7 @@ def test_the_page_tells_the_whole_story():
             "11 stages of 90 and 70 final rollouts, alpha chosen at each stage, sigma 0.95",
         ),
         ("splitting", "10 runs of 90 particles"),
+        ("subset", "10 runs of 90 particles"),
         ("zero-variance", "70 rollouts"),
         ("monte-carlo", "70 rollouts"),
         ("naive", "70 rollouts, naive_detection_probability 0.5"),

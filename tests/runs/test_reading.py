@@ -74,7 +74,7 @@ def test_a_run_as_it_was_kept_is_believed_and_scaled_figures_are_not(folder, kin
     assert read_result(folder(kind, method)).estimate.failures > 0
 
 
-@pytest.mark.parametrize("method", ["mixture", "splitting", "naive"])
+@pytest.mark.parametrize("method", ["mixture", "splitting", "subset", "naive"])
 def test_results_of_older_versions_are_held_as_far_as_they_go(folder, tmp_path, method):
     """They have no digests, and their rollouts nothing that a method alone keeps."""
     kept = tmp_path / "run"

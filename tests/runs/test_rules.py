@@ -67,6 +67,7 @@ def experiment_of(config):
         ("naive", {"final_rollouts": 8_000}),
         ("monte-carlo", {"final_rollouts": 8_000}),
         ("splitting", {"stages": 12, "rollouts": 200}),
+        ("subset", {"stages": 12, "rollouts": 400}),
     ],
 )
 def test_every_rule_is_answered_by_one_run(method, changes):

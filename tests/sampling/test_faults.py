@@ -6,19 +6,22 @@ import signal
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pemviz.faults import SimulationError, from_outside, signals_distinguished
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.runners import PooledRunner, by_numpy
 from pemviz.sampling.splitting.run import split as splitting
+from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.simulators.episodic import side_by_side
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.slot_toys import TwoCars
-from tests.toy import FunctionPem, MissCounter, constant_pem, splitting_runs
+from tests.toy import FunctionPem, MissCounter, constant_pem, splitting_runs, subset_runs
 
 STATES = 12
 
@@ -75,12 +78,12 @@ def test_logits_that_are_no_finite_number_are_refused(value):
         draw(replace(problem_of(lambda gap: gap), pem=pem))
 
 
-def split(problem):
-    method = splitting_runs(stages=2, rollouts=5, seed=0)
+def split(problem, runs=splitting_runs):
+    method = runs(stages=2, rollouts=5, seed=0)
     return method.step(problem, method.init(problem, repetition=0))
 
 
-@pytest.mark.parametrize("carry_out", [draw, split])
+@pytest.mark.parametrize("carry_out", [draw, split, partial(split, runs=subset_runs)])
 def test_a_simulator_that_hangs_fails_in_time(carry_out):
     released = threading.Event()
 
@@ -307,6 +310,53 @@ def test_splitting_names_run_and_particle():
     found = caught.value
     assert (found.ahead, found.rollouts[0]) == alone[0]
     assert found.step == 8
+
+
+def first_misses(run, count):
+    """How many of the first seven outcomes of each of a subset run's first rollouts are misses."""
+    normals = np.random.default_rng(run).standard_normal((count, STATES - 1))
+    return (stats.norm.cdf(normals[:, :8]) < 0.1).sum(axis=1)
+
+
+def test_subset_names_run_and_rollout_and_none_where_levels_are_sought():
+    problem = replace(problem_of(None), simulator=SpoiltLate(), batch_rollouts=7)
+    generators = [np.random.default_rng(seed) for seed in range(4)]
+    with pytest.raises(SimulationError) as caught:
+        SubsetSimulation().carry_out(problem, count=20, generators=generators)
+    alone = [
+        (run, row)
+        for run in range(4)
+        for row in np.flatnonzero(first_misses(run, 20) >= 3).tolist()
+    ]
+    found = caught.value
+    assert (found.ahead, found.rollouts[0], found.step) == (*alone[0], 8)
+    with pytest.raises(SimulationError) as caught:
+        SubsetSimulation().prepare(problem, count=200, generator=np.random.default_rng(0))
+    assert (caught.value.rollouts, caught.value.step) == (None, 8)
+
+
+def test_a_rollout_of_a_chain_is_counted_on_from_those_before_it():
+    """In the third step of the chains of two runs."""
+    problem = problem_of(lambda gap: gap)
+    prepared, _ = SubsetSimulation().prepare(problem, count=100, generator=np.random.default_rng(1))
+    assert prepared.levels
+    calls = []
+
+    def fails_late(simulator, pem, tasks):
+        for task in tasks:
+            calls.append(len(task.uniforms))
+            if len(calls) > 3:
+                raise SimulationError("wheel", why="off", rollouts=range(2, 3))
+            yield by_numpy(simulator, pem, task)
+
+    generators = [np.random.default_rng([5, run]) for run in range(2)]
+    with pytest.raises(SimulationError) as caught:
+        prepared.carry_out(
+            replace(problem, run_batches=fails_late), count=100, generators=generators
+        )
+    chains = prepared.levels[0].chains(100)
+    assert calls[:4] == [200, 2 * chains, 2 * chains, 2 * chains]
+    assert (caught.value.ahead, caught.value.rollouts[0]) == (0, 3 * chains + 2)
 
 
 def test_where_it_was_survives_another_process():

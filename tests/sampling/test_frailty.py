@@ -42,7 +42,7 @@ from tests.lattice_walk import (
     toy_unsafe,
 )
 from tests.sampling.test_memory import with_memory
-from tests.toy import estimate_of, splitting_runs
+from tests.toy import estimate_of, splitting_runs, subset_runs
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=9), ToyPem(at_zero=2.5)
 CHAINS = np.array(list(itertools.product((False, True), repeat=SIMULATOR.states - 1)))
@@ -134,6 +134,7 @@ def test_every_method_agrees_with_all_chains(memory):
             learning_stages=4, rollouts=100, final_rollouts=500, seed=1, features=features
         ),
         splitting_runs(stages=10, rollouts=100, seed=1),
+        subset_runs(stages=10, rollouts=300, seed=1),
     ):
         found = estimate_of(method, problem)
         assert found.std_error is not None

@@ -79,6 +79,7 @@ def test_the_recursion_is_the_sum_over_all_chains(lens):
         ("monte-carlo", {"final_rollouts": 50_000}),
         ("mixture", {}),
         ("splitting", {"stages": 20}),
+        ("subset", {"stages": 20, "rollouts": 200}),
         ("zero-variance", {}),
     ],
 )

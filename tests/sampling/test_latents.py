@@ -105,13 +105,20 @@ def test_outcomes_are_the_same_with_latents_and_without():
 
 
 @pytest.mark.parametrize(
-    ("simulator", "method"), [(FAR, "splitting"), (FAR, "mixture"), (SLOTS, "mixture")]
+    ("simulator", "method"),
+    [
+        (FAR, "splitting"),
+        (FAR, "subset"),
+        (FAR, "mixture"),
+        (SLOTS, "mixture"),
+        (SLOTS, "subset"),
+    ],
 )
 def test_a_rollout_replays_from_its_file(simulator, method, tmp_path):
     """And a run that was interrupted ends with the same files, to the last bit."""
     settings = {"rollouts": 30, "stages": 2, "final_rollouts": 30}
     experiment = experiment_of(simulator, simulator.spec(1.0), method=method, **settings)
-    stops = () if method == "splitting" else (1,)  # whose runs are carried out together
+    stops = () if method in ("splitting", "subset") else (1,)  # whose runs are carried out together
     result, whole, _ = stopped_and_whole(experiment, tmp_path, *stops)
     assert (result.latents, result.status) == (LatentCounts(start=1, noise=1), "done")
     assert pemviz.read_result(whole) == result
@@ -136,6 +143,7 @@ SPENT = {
     "monte-carlo": {"final_rollouts": 20_000},
     "naive": {"final_rollouts": 20_000, "naive_detection_probability": 0.8},
     "splitting": {"rollouts": 300, "stages": 8},
+    "subset": {"rollouts": 500, "stages": 8},
     "mixture": {"rollouts": 200, "stages": 2, "final_rollouts": 300},
 }
 
@@ -144,9 +152,9 @@ SPENT = {
     ("case", "method"),
     [
         *(("drift", method) for method in SPENT),
-        *(("walk", method) for method in ("monte-carlo", "splitting", "mixture")),
-        *(("slots", method) for method in ("naive", "splitting", "mixture")),
-        *(("largest", method) for method in ("naive", "splitting")),
+        *(("walk", method) for method in ("monte-carlo", "splitting", "subset", "mixture")),
+        *(("slots", method) for method in ("naive", "splitting", "subset", "mixture")),
+        *(("largest", method) for method in ("naive", "splitting", "subset")),
     ],
 )
 def test_methods_agree_with_closed_forms(case, method):

@@ -35,7 +35,7 @@ from tests.lattice_walk import (
     ToySimulator,
     toy_problem_of,
 )
-from tests.toy import ConstantPem, MissCounter, estimate_of, splitting_runs
+from tests.toy import ConstantPem, MissCounter, estimate_of, splitting_runs, subset_runs
 
 SIMULATOR, PEM = ToySimulator(initial_gap=4, largest_gap=6, states=13), ToyPem(at_zero=2.5)
 TAUS_S = (0.3, 1.0, 5.0, 60.0)
@@ -92,6 +92,7 @@ def test_every_method_agrees_with_all_chains(tau_s):
             learning_stages=4, rollouts=200, final_rollouts=2000, seed=1, features=back_end.features
         ),
         splitting_runs(stages=20, rollouts=200, seed=1),
+        subset_runs(stages=20, rollouts=400, seed=1),
     ):
         found = estimate_of(method, problem)
         assert found.std_error is not None

@@ -107,6 +107,7 @@ def test_methods_agree_with_the_recursion(case, method):
         ("monte-carlo", {"final_rollouts": 20_000}),
         ("naive", {"final_rollouts": 20_000}),
         ("splitting", {"rollouts": 150, "stages": 6}),
+        ("subset", {"rollouts": 300, "stages": 6}),
     ],
 )
 def test_what_learns_nothing_knows_slots_too(method, spent):
@@ -120,7 +121,7 @@ def test_what_learns_nothing_knows_slots_too(method, spent):
     exact = exact_probability(cars, [often] * 2, hit)
     error = found.std_error or math.sqrt(exact * (1.0 - exact) / 20_000)
     assert abs(found.probability - exact) < 4.0 * error
-    assert error < (0.2 if method == "splitting" else 0.1) * exact
+    assert error < (0.2 if method in ("splitting", "subset") else 0.1) * exact
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class WalkWithASlot(ToySimulator):
 
 @pytest.mark.parametrize(
     ("method", "memory_s"),
-    [("mixture", 2.0), ("adaptive", 0.0), ("naive", 0.0), ("splitting", 0.0)],
+    [("mixture", 2.0), ("adaptive", 0.0), ("naive", 0.0), ("splitting", 0.0), ("subset", 2.0)],
 )
 def test_one_slot_is_what_a_simulator_without_is(method, memory_s, tmp_path):
     config = pemviz.ExperimentConfig(

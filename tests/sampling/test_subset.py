@@ -1,15 +1,20 @@
 """Subset simulation: moves keep the normal, runs have no bias, and systems without restarts do."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from pemviz.faults import StopRequested
+from pemviz.latents import LatentCounts
+from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.sampling.subset.moves import Shape, Tuning, moved, spreads
 from pemviz.sampling.subset.run import SubsetSimulation
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion, toy_problem_of
+from tests.sampling.test_batches import at_once
+from tests.toy import stepped_through, subset_runs
 
 SHAPE = Shape(outcomes=12, start=3, steps=6, noise=2)
 
@@ -29,7 +34,7 @@ def test_moves_keep_the_normal_and_can_be_taken_back(window):
     numbers = SHAPE.normals(generator, 40_000)
     kind = generator.choice(kinds[window], size=numbers.count)
     after = moved(
-        numbers, kind, shape=SHAPE, scale=0.7, spread=spreads(numbers), generator=generator
+        numbers, kind, shape=SHAPE, scale=0.7, spread=spreads(numbers, SHAPE), generator=generator
     )
     one, other = flat(numbers), flat(after)
     assert np.any(one != other)
@@ -46,7 +51,7 @@ def test_a_reordered_window_keeps_steps_together():
     numbers = SHAPE.normals(generator, 500)
     kind = np.full(500, 2 + 2 * SHAPE.places.size)
     after = moved(
-        numbers, kind, shape=SHAPE, scale=0.7, spread=spreads(numbers), generator=generator
+        numbers, kind, shape=SHAPE, scale=0.7, spread=spreads(numbers, SHAPE), generator=generator
     )
     steps = [
         np.concatenate([each.outcomes.reshape(500, 6, 2), each.noise], axis=2)
@@ -57,6 +62,26 @@ def test_a_reordered_window_keeps_steps_together():
     for row in range(500):
         known = {tuple(np.round(step, 9)) for step in steps[0][row]}
         assert {tuple(np.round(step, 9)) for step in steps[1][row]} == known
+
+
+def test_small_moves_leave_seeds_as_they_are_and_others_do_not():
+    shape, generator = replace(SHAPE, seeds=1), np.random.default_rng(6)
+    numbers = shape.normals(generator, 300)
+    small, of_start = (
+        moved(
+            numbers,
+            np.full(300, kind),
+            shape=shape,
+            scale=0.7,
+            spread=spreads(numbers, shape),
+            generator=generator,
+        ).start
+        != numbers.start
+        for kind in (0, 1)
+    )
+    assert small.all(axis=0).tolist() == [True, True, False]
+    assert not small[:, 2].any()
+    assert np.all(of_start.mean(axis=0) > 0.3)
 
 
 def test_what_moves_nothing_is_seldom_chosen():
@@ -72,20 +97,120 @@ def test_what_moves_nothing_is_seldom_chosen():
     assert not np.any(Tuning.begun(replace(SHAPE, start=0)).chosen(4_000, generator) == 1)
 
 
-@pytest.mark.parametrize("count", [50, 200])
+@pytest.mark.parametrize("count", [40, 100])
 def test_runs_have_no_bias_however_small_they_are(count):
-    """400 runs with levels found once; |z| < 4 fails one time in 16,000."""
-    simulator, pem = ToySimulator(initial_gap=4, states=12), ToyPem()
+    """500 runs with levels found once; |z| < 4 fails one time in 16,000."""
+    simulator, pem = ToySimulator(initial_gap=3, states=12), ToyPem(at_zero=2.5)
     exact = toy_probability_by_recursion(simulator, pem)
     problem = toy_problem_of(simulator, pem)
     prepared, spent = SubsetSimulation().prepare(
         problem, count=200, generator=np.random.default_rng(1)
     )
-    assert len(prepared.levels) >= 1
+    assert len(prepared.levels) >= 2
     assert spent > 200
-    generators = [np.random.default_rng([7, number]) for number in range(400)]
+    generators = [np.random.default_rng([7, number]) for number in range(500)]
     runs = prepared.carry_out(problem, count=count, generators=generators)
     found = np.exp([run.log_probability for run in runs])
     error = found.std(ddof=1) / math.sqrt(found.size)
-    assert error < 0.3 * exact
+    assert error < 0.2 * exact
+    assert abs(found.mean() - exact) < 4.0 * error
+
+
+def test_how_long_chains_are_depends_on_no_rollout_of_the_run():
+    """Each level that is reached costs what was fixed before, however many came below it."""
+    problem = toy_problem_of(ToySimulator(initial_gap=4, states=12), ToyPem())
+    prepared, _ = SubsetSimulation().prepare(problem, count=100, generator=np.random.default_rng(1))
+    generators = [np.random.default_rng([8, number]) for number in range(40)]
+    runs = prepared.carry_out(problem, count=100, generators=generators)
+    costs = np.cumsum([100, *(100 - level.chains(100) for level in prepared.levels)])
+    assert {run.simulated for run in runs} <= set(costs.tolist())
+    reached = [run for run in runs if run.log_probability > -math.inf]
+    assert {run.simulated for run in reached} == {int(costs[-1])}
+    assert len({run.log_probability for run in reached}) > 5
+
+
+@pytest.mark.parametrize("batch", [1, 7, 64, 10_000])
+def test_batches_workers_and_observers_do_not_show(batch):
+    simulator, pem = ToySimulator(initial_gap=4, states=12), ToyPem()
+    method = subset_runs(stages=4, rollouts=30, seed=2)
+    expected, _ = stepped_through(method, toy_problem_of(simulator, pem))
+    heard = []
+    problem = toy_problem_of(
+        simulator,
+        pem,
+        batch_rollouts=batch,
+        run_batches=PooledRunner(at_once, 3),
+        progress=lambda done, total: heard.append(done / total),
+    )
+    found, _ = stepped_through(method, problem)
+    assert method.estimate(found) == method.estimate(expected)
+    for one, other in zip(found.runs, expected.runs, strict=True):
+        assert one.log_probability == other.log_probability
+        assert np.array_equal(one.scored.rollouts.detected, other.scored.rollouts.detected)
+    assert heard[0] == 0.0
+    assert heard[-1] == 1.0
+    assert len(set(heard)) > 5
+
+
+def test_a_run_can_be_stopped_between_any_two_batches():
+    problem = toy_problem_of(ToySimulator(initial_gap=4, states=12), ToyPem(), batch_rollouts=50)
+    pauses = []
+    for stops_at in (1, 5, 30):
+
+        def pause(stops_at=stops_at):
+            pauses.append(stops_at)
+            if pauses.count(stops_at) == stops_at:
+                raise StopRequested
+
+        method = subset_runs(stages=5, rollouts=100, seed=2)
+        with pytest.raises(StopRequested):
+            stepped_through(method, replace(problem, pause=pause))
+
+
+@dataclass(frozen=True)
+class Seeded(ToySimulator):
+    """The walk whose steps a generator of its own, seeded by a latent, makes longer at times."""
+
+    latents = LatentCounts(start=1, seeds=1)
+
+    def initial(self, *, count, start):
+        begun = super().initial(count=count)
+        words = (1e6 * stats.norm.cdf(start[:, 1])).astype(np.int64)
+        drawn = np.array([np.random.default_rng(int(word)).random(11) < 0.1 for word in words])
+        longer = {f"longer{step}": drawn[:, step] for step in range(11)}
+        return replace(begun, memory=longer | {"start": start[:, 0].copy()})
+
+    def step(self, states, detected):
+        after = super().step(states, detected)
+        at = int(states.step)
+        nearer = states.memory[f"longer{at}"] & ~detected
+        gap = np.maximum(after.signals["gap"] - nearer, 0.0)
+        gap = np.where(states.signals["gap"] == 0.0, 0.0, gap)
+        return replace(after, signals={"gap": gap}, memory=states.memory)
+
+
+def seeded_probability(simulator, pem):
+    """By recursion: a miss leads one step nearer, or, a tenth of them, two; 0 is absorbing."""
+    gaps = np.arange(simulator.largest_gap + 1)
+    missed = stats.logistic.cdf(-pem.logit(gaps[:, None].astype(float)))
+    value = (gaps == 0).astype(float)
+    for _ in range(simulator.states - 1):
+        nearer = 0.9 * value[np.maximum(gaps - 1, 0)] + 0.1 * value[np.maximum(gaps - 2, 0)]
+        away = value[np.minimum(gaps + 1, simulator.largest_gap)]
+        value = np.where(gaps == 0, 1.0, missed * nearer + (1.0 - missed) * away)
+    return value[simulator.initial_gap]
+
+
+def test_seeds_of_a_simulator_s_own_generator_change_too():
+    """|z| < 4 over 200 runs fails one time in 16,000."""
+    simulator, pem = Seeded(initial_gap=4, states=12), ToyPem(at_zero=2.5)
+    exact = seeded_probability(simulator, pem)
+    problem = toy_problem_of(simulator, pem)
+    prepared, _ = SubsetSimulation().prepare(problem, count=300, generator=np.random.default_rng(1))
+    assert len(prepared.levels) >= 2
+    generators = [np.random.default_rng([9, number]) for number in range(200)]
+    runs = prepared.carry_out(problem, count=100, generators=generators)
+    found = np.exp([run.log_probability for run in runs])
+    error = found.std(ddof=1) / math.sqrt(found.size)
+    assert error < 0.15 * exact
     assert abs(found.mean() - exact) < 4.0 * error

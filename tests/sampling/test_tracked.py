@@ -101,7 +101,7 @@ def test_each_slot_has_a_track_of_its_own(rule):
     assert found == pytest.approx(1 - math.prod(1 - one for one in either), rel=1e-10)
 
 
-@pytest.mark.parametrize("method", ["mixture", "splitting", "monte-carlo"])
+@pytest.mark.parametrize("method", ["mixture", "splitting", "subset", "monte-carlo"])
 def test_methods_agree_with_all_chains(method):
     """Five standard errors, a false alarm in 1e6; seeds are fixed."""
     rule = TRACKERS["2 of 3, coasting"]

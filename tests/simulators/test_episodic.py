@@ -13,7 +13,7 @@ from pemviz.cli.workers import with_workers
 from pemviz.errors import ConfigError, RunError
 from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.simulators.episodic import SideBySide
-from tests.lattice_walk import ToyPem, ToySimulator
+from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion
 from tests.slot_toys import CAMERA, TwoCars
 
 WALK, PEM = ToySimulator(initial_gap=5, states=15), ToyPem(at_zero=2.5)
@@ -166,6 +166,38 @@ def test_an_episode_that_ended_is_not_stepped_and_keeps_its_signals():
         gaps.append(states.signals["gap"].tolist())
     assert [gap for gap, _ in gaps] == [4.0, 3.0, 2.0, 1.0] + [0.0] * 10
     assert WalkEpisodes.stepped - before == 5 + 14
+
+
+def test_subset_simulation_agrees_with_the_recursion():
+    """Environments that can only be reset: five standard errors, false alarm 6e-7."""
+    pem = ToyPem(at_zero=2.0)
+    settings = {"pem": pem, "method": "subset", "stages": 8, "rollouts": 400}
+    found = pemviz.run(run_of(pemviz.side_by_side(WalkEpisodes, 50), **settings)).estimate
+    truth = toy_probability_by_recursion(WALK, pem)
+    assert 1e-3 < truth < 1.1e-3
+    assert found.std_error is not None
+    assert found.std_error < 0.2 * truth
+    assert abs(found.probability - truth) < 5.0 * found.std_error
+    assert found.ci_low < truth < found.ci_high
+    assert found == pemviz.run(run_of(WALK, **settings)).estimate
+
+
+@pytest.mark.parametrize("saved", [GustyWalk(), TwoCars(starts=(3, 4), states=11, in_view=3)])
+def test_subset_simulation_gives_what_it_gives_with_saved_states(saved):
+    """Latents and slots: to the last bit, whatever comes back at a time."""
+    latents = isinstance(saved, GustyWalk)
+    spec = SPEC if latents else "always[0,10] (gap_a >= 0.5 and gap_b >= 0.5)"
+    settings = {
+        "spec": spec,
+        "pem": PEM if latents else CAMERA,
+        "method": "subset",
+        "stages": 2,
+        "rollouts": 40,
+    }
+    kind = GustyEpisodes if latents else CarsEpisodes
+    found = pemviz.run(run_of(pemviz.side_by_side(kind, 7), **settings)).estimate
+    assert found == pemviz.run(run_of(saved, **settings)).estimate
+    assert found.rollouts_simulated > 80
 
 
 def test_states_cannot_be_gone_on_from():

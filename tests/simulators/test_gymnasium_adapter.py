@@ -72,13 +72,13 @@ def test_same_trajectories_as_the_vectorized_toy(pair):
 
 
 @pytest.mark.parametrize("pair", [True, False])
-@pytest.mark.parametrize("method", ["mixture", "splitting", "monte-carlo"])
+@pytest.mark.parametrize("method", ["mixture", "splitting", "subset", "monte-carlo"])
 def test_same_answer_as_the_toy_and_near_the_truth(method, pair):
     """The same seed gives the very same rollouts, so the answers are equal."""
     config = pemviz.ExperimentConfig(
         method=method, spec=SPEC, stages=4, rollouts=40, final_rollouts=60, seed=2
     )
-    if method == "splitting":
+    if method in ("splitting", "subset"):
         config = replace(config, stages=2, rollouts=10)
 
     def run(simulator):

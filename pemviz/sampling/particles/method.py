@@ -10,7 +10,7 @@ It needs no likelihood ratios: an independent check of the other methods.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -28,7 +28,13 @@ RULE = "common_ancestry."
 
 
 class Runs(Protocol):
-    """Carries out independent runs that keep step: the scenario moves all particles at once."""
+    """Carries out independent runs that keep step: the scenario moves all particles at once.
+
+    Attributes:
+        moved_share: About how many of a run's particles are moved at a time, as a share of them.
+    """
+
+    moved_share: ClassVar[float]
 
     def prepare(
         self, problem: Problem, *, count: int, generator: np.random.Generator
@@ -116,7 +122,8 @@ class ParticleSampling:
     ) -> tuple[ParticleState, Sequence[ParticleRun]]:
         """As many runs as make up a batch of rollouts, and what they were prepared by."""
         first, prepared, spent = len(state.runs), state.prepared, 0
-        together = max(problem.batch_rollouts // self.rollouts, 1)
+        moved = max(self.rollouts * self.of.moved_share, 1.0)
+        together = max(int(problem.batch_rollouts / moved), 1)
         own = self._generator(state, self.stages)
         if prepared is None:
             prepared, spent = self.of.prepare(problem, count=self.rollouts, generator=own)

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.faults import SimulationError
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.types import ScoredRollouts
 
@@ -67,6 +68,36 @@ class ParticleRun(RunFigures):
             log_p=log_p_of(self.scored.rollouts, broken),
             scored=replace(self.scored, violated=broken),
         )
+
+
+def copies(of: int, count: int, generator: np.random.Generator) -> IntArray:
+    """Which of so many each of ``count`` is a copy of: all as often as any other but for one."""
+    whole, rest = divmod(count, of)
+    some = generator.permutation(of)[:rest]
+    return np.concatenate([np.tile(np.arange(of), whole), some]).astype(np.int64)
+
+
+def tell_run(error: SimulationError, places: Mapping[int, tuple[int, int]]) -> None:
+    """Let a fault name a run's rollout, of all that were simulated, one run after the other.
+
+    Args:
+        error: What names one of all, or all.
+        places: By run: how many of its rollouts come before those, and how many those are.
+    """
+    rows = error.rollouts
+    if rows is None:
+        return
+    alone = len(places) == 1 and all(before == 0 for before, _ in places.values())
+    if len(rows) > 1 and not alone:
+        error.among, error.rollouts = len(rows), None
+        return
+    row = rows[0]
+    for run, (before, size) in places.items():
+        if row < size:
+            first = before + row
+            error.ahead, error.rollouts = run, range(first, first + len(rows))
+            return
+        row -= size
 
 
 def log_product(shares: Sequence[float]) -> float:

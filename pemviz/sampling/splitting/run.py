@@ -13,17 +13,22 @@ compared with levels is the importance function of :mod:`pemviz.sampling.splitti
 """
 
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, IntArray
 from pemviz.faults import SimulationError
 from pemviz.sampling.method import VIOLATION_THRESHOLD
-from pemviz.sampling.particles.runs import ParticleRun, common_ancestry, log_product
+from pemviz.sampling.particles.runs import (
+    ParticleRun,
+    common_ancestry,
+    copies,
+    log_product,
+    tell_run,
+)
 from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.splitting.particles import (
@@ -45,6 +50,8 @@ Levels = Generator[Continuation, Particles, ParticleRun]
 @dataclass(frozen=True)
 class Splitting:
     """Runs of adaptive multilevel splitting, which need nothing before they begin."""
+
+    moved_share: ClassVar[float] = 1.0
 
     def prepare(
         self,
@@ -93,7 +100,9 @@ def split(
         try:
             found = in_time(problem, partial(continued, problem, list(wanted.values())))
         except SimulationError as error:
-            _tell_particle(error, wanted, count=count)
+            sizes = {index: each.cut.size for index, each in wanted.items()}
+            # those that are kept come first
+            tell_run(error, {index: (count - size, size) for index, size in sizes.items()})
             raise
         for index, particles in zip(list(wanted), found, strict=True):
             try:
@@ -102,26 +111,6 @@ def split(
                 del wanted[index]
                 runs[index] = end.value
     return [runs[index] for index in going]
-
-
-def _tell_particle(
-    error: SimulationError, wanted: Mapping[int, Continuation], *, count: int
-) -> None:
-    """Let a fault name run and particle, of all that were gone on with, one run after the other."""
-    rows = error.rollouts
-    if rows is None:
-        return
-    alone = len(wanted) == 1 and all(each.cut.size == count for each in wanted.values())
-    if len(rows) > 1 and not alone:
-        error.among, error.rollouts = len(rows), None
-        return
-    row = rows[0]
-    for run, each in wanted.items():
-        if row < each.cut.size:
-            first = count - each.cut.size + row  # after those that are kept
-            error.ahead, error.rollouts = run, range(first, first + len(rows))
-            return
-        row -= each.cut.size
 
 
 def _levels(
@@ -144,9 +133,10 @@ def _levels(
         if level < VIOLATION_THRESHOLD or killed.all():
             break
         shares.append(1.0 - float(killed.mean()))
-        simulated += int(killed.sum())
+        survivors, lost = np.flatnonzero(~killed), int(killed.sum())
+        simulated += lost
         # each killed one continues a survivor from where that first came below the level
-        parent = np.flatnonzero(~killed)[_copies(killed, generator)]
+        parent = survivors[copies(survivors.size, lost, generator)]
         cut = np.argmax(particles.score[parent] < level, axis=1)
         new = yield restart(particles, parent=parent, cut=cut, generator=generator)
         particles = Particles.concatenate([particles.take(np.flatnonzero(~killed)), new])
@@ -178,12 +168,3 @@ def _on_the_way(log_share: float, level: float, *, count: int) -> int:
     """
     left = max(level, 0.0)
     return int(count * -log_share / (left - log_share)) if log_share < 0.0 else 0
-
-
-def _copies(killed: BoolArray, generator: np.random.Generator) -> IntArray:
-    """Which of the survivors replaces each of the killed, ``[K]``: each as often but for one."""
-    lost = int(killed.sum())
-    survivors = killed.size - lost
-    whole, rest = divmod(lost, survivors)
-    some = generator.permutation(survivors)[:rest]
-    return np.concatenate([np.tile(np.arange(survivors), whole), some]).astype(np.int64)

@@ -61,12 +61,16 @@ class RandomNumbers(Batch):
 
 @dataclass(frozen=True)
 class Shape:
-    """How many numbers a rollout takes: of ``outcomes``, ``start``, ``steps`` of ``noise``."""
+    """How many numbers a rollout takes: of ``outcomes``, ``start``, ``steps`` of ``noise``.
+
+    The last ``seeds`` of ``start`` seed random generators: a little change is a whole one.
+    """
 
     outcomes: int
     start: int
     steps: int
     noise: int
+    seeds: int = 0
 
     def normals(self, generator: np.random.Generator, count: int) -> RandomNumbers:
         """Of ``count`` rollouts, independent."""
@@ -85,8 +89,8 @@ class Shape:
     def kinds(self) -> int:
         """How many kinds of moves there are.
 
-        All numbers a little; some starts, by any angle; and from each place on all that follows
-        anew, a window by any angle, a window in another order.
+        All numbers but seeds a little; some starts, by any angle; and from each place on all that
+        follows anew, a window by any angle, a window in another order.
         """
         return 2 + 3 * self.places.size
 
@@ -141,9 +145,11 @@ class Tuning:
         )
 
 
-def spreads(numbers: RandomNumbers) -> RandomNumbers:
-    """The standard deviation of each number over N rollouts, 1 at most, as one row."""
-    return numbers.map(lambda values: np.minimum(values.std(axis=0, keepdims=True), 1.0))
+def spreads(numbers: RandomNumbers, shape: Shape) -> RandomNumbers:
+    """The standard deviation of each number over N rollouts, 1 at most, as one row; of seeds 0."""
+    found = numbers.map(lambda values: np.minimum(values.std(axis=0, keepdims=True), 1.0))
+    found.start[:, shape.start - shape.seeds :] = 0.0
+    return found
 
 
 def moved(

@@ -1,34 +1,41 @@
 """Runs of subset simulation.
 
-Au, Beck 2001, with the moves of :mod:`pemviz.sampling.subset.moves`. N rollouts follow the model.
-Those above level l are replaced: from each of the K_l others a Markov chain goes on among the
-rollouts at or below the level, and all that the chains pass count. F of the N violate in the end::
+Au, Beck 2001, with the moves of :mod:`pemviz.sampling.subset.moves`. N rollouts follow the model;
+K_l of them are at or below level l. From C_l of these, each as often as any other but for one,
+Markov chains go on among the rollouts at or below the level, and all N that the chains pass are the
+next. F of the last N violate::
 
     mu_r = (F / N) prod_l (K_l / N)
 
-A run of its own finds the levels, each the least robust tenth of its rollouts, and the moves that
-bring most. Where the rollouts that are cut themselves choose their levels, as is usual, mu_r is
-off by O(1 / N), which was a factor of 2 in 100 dimensions with N = 300. Here levels and moves are
-fixed before a run begins, and mu_r has no bias at any N (Del Moral 2004, theorem 7.4.2): the next
-rollouts' average of a function f has the expectation (1 / K_l) sum_k (M f)(z_k) over the K_l,
-where the chains' kernel M keeps the model restricted to the level.
+A run of its own finds the levels, each the least robust tenth of its rollouts, the C_l, and the
+moves that bring most. Where the rollouts that are cut themselves choose their levels, as is usual,
+mu_r is off by O(1 / N), which was a factor of 2 in 100 dimensions with N = 300. Here levels, moves
+and the chains' lengths are fixed before a run begins, and mu_r has no bias at any N (Del Moral
+2004, theorem 7.4.2): the next rollouts' average of a function f has the expectation
+(1 / K_l) sum_k (M f)(z_k) over the K_l, where M, the average over a chain's places, depends on no
+rollout of the run and keeps the model restricted to the level.
 """
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from scipy.special import ndtr
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
-from pemviz.faults import counted_from
+from pemviz.faults import SimulationError, counted_from, of_no_rollouts
 from pemviz.latents import StandardNormals
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.method import VIOLATION_THRESHOLD
-from pemviz.sampling.particles.runs import ParticleRun, common_ancestry, log_product
+from pemviz.sampling.particles.runs import (
+    ParticleRun,
+    common_ancestry,
+    copies,
+    log_product,
+    tell_run,
+)
 from pemviz.sampling.problem import Problem, in_time, ranked, score
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.rollouts.runners import BatchTask, check_numbers
@@ -64,20 +71,34 @@ class Level:
 
     Attributes:
         threshold: Rollouts are to stay at or below it.
+        share: Of the rollouts, from which chains go on.
         tuning: What is known of moves.
         spread: Of each number below the level, as one row.
     """
 
     threshold: float
+    share: float
     tuning: Tuning
     spread: RandomNumbers
+
+    def chains(self, count: int) -> int:
+        """From how many of ``count`` rollouts chains go on."""
+        return max(round(self.share * count), 1)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Random numbers to be simulated, and how many of its rollouts a run has before them."""
+
+    numbers: RandomNumbers
+    before: int
 
 
 Found = TypeVar("Found")
 Simulated = tuple[RolloutBatch, FloatArray]
 """Rollouts and their scores ``[N]``."""
-Going = Generator[RandomNumbers, Simulated, Found]
-"""Work as it goes: random numbers to be simulated, for what came of them."""
+Going = Generator[Wanted, Simulated, Found]
+"""Work as it goes: what is to be simulated, for what came of it."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +106,7 @@ class SubsetSimulation:
     """Runs between given levels; none: they are yet to be found."""
 
     levels: tuple[Level, ...] = ()
+    moved_share: ClassVar[float] = KEPT_SHARE
 
     def prepare(
         self, problem: Problem, *, count: int, generator: np.random.Generator
@@ -94,7 +116,13 @@ class SubsetSimulation:
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        (found,) = _in_step(problem, [_finding(problem, count=count, generator=generator)])
+
+        def report(simulated: int) -> None:  # noqa: ARG001  how many it will be is not known
+            problem.progress(0, count)
+
+        with of_no_rollouts():  # of a run's that counts
+            going = _finding(problem, count=count, generator=generator)
+            (found,) = _in_step(problem, [going], report)
         return found
 
     def carry_out(
@@ -105,28 +133,40 @@ class SubsetSimulation:
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        done = [0] * len(generators)
+        moved_on = sum(count - level.chains(count) for level in self.levels)
+        most = len(generators) * (count + moved_on)
 
-        def report(run: int, share: float) -> None:
-            done[run] = int(count * share)
-            problem.progress(sum(done) // len(done), count)
+        def report(simulated: int) -> None:
+            problem.progress(count * simulated // most, count)
 
         going = [
-            _run(problem, self.levels, count=count, generator=each, report=partial(report, index))
-            for index, each in enumerate(generators)
+            _run(problem, self.levels, count=count, generator=generator) for generator in generators
         ]
-        return _in_step(problem, going)
+        runs = _in_step(problem, going, report)
+        problem.progress(count, count)
+        return runs
 
 
-def _in_step(problem: Problem, going: Sequence[Going[Found]]) -> Sequence[Found]:
-    """What comes of each, simulated together."""
+def _in_step(
+    problem: Problem, going: Sequence[Going[Found]], report: Callable[[int], None]
+) -> Sequence[Found]:
+    """What comes of each, simulated together; ``report`` gets how many rollouts were so far."""
     wanted = {index: next(one) for index, one in enumerate(going)}
     ended: dict[int, Found] = {}
+    simulated = 0
     while wanted:
-        rollouts, scores = _simulated(problem, RandomNumbers.concatenate(list(wanted.values())))
+        numbers = RandomNumbers.concatenate([each.numbers for each in wanted.values()])
+        try:
+            rollouts, scores = _simulated(problem, numbers)
+        except SimulationError as error:
+            places = {i: (each.before, each.numbers.count) for i, each in wanted.items()}
+            tell_run(error, places)
+            raise
+        simulated += numbers.count
+        report(simulated)
         first = 0
-        for index, numbers in list(wanted.items()):
-            rows = slice(first, first + numbers.count)
+        for index, each in list(wanted.items()):
+            rows = slice(first, first + each.numbers.count)
             first = rows.stop
             try:
                 wanted[index] = going[index].send((rollouts.take(rows), scores[rows]))
@@ -161,12 +201,12 @@ def _simulated(problem: Problem, numbers: RandomNumbers) -> Simulated:
 
 def _shape(problem: Problem) -> Shape:
     counts, steps = latent_counts(problem.simulator), problem.simulator.states - 1
-    return Shape(steps, counts.at_start, steps // problem.turns, counts.noise)
+    return Shape(steps, counts.at_start, steps // problem.turns, counts.noise, counts.seeds)
 
 
 def _begun(shape: Shape, count: int, generator: np.random.Generator) -> Going[Population]:
     numbers = shape.normals(generator, count)
-    rollouts, scores = yield numbers
+    rollouts, scores = yield Wanted(numbers, 0)
     return Population(numbers, rollouts, scores, np.arange(count))
 
 
@@ -181,13 +221,18 @@ def _finding(
         below = _below_next_level(population.score)
         if below is None:
             break
-        seeds = population.take(np.flatnonzero(below))
-        simulated += count - seeds.score.size
-        level = Level(float(seeds.score.max()), tuning.at_next_level(), spreads(seeds.numbers))
-        population, tuning = yield from _chains(
-            seeds, level, count=count, shape=shape, generator=generator, learns=True
+        starts = population.take(np.flatnonzero(below))
+        simulated += count - starts.score.size
+        level = Level(
+            threshold=float(starts.score.max()),
+            share=starts.score.size / count,
+            tuning=tuning.at_next_level(),
+            spread=spreads(starts.numbers, shape),
         )
-        levels.append(Level(level.threshold, tuning, level.spread))
+        population, tuning = yield from _chains(
+            starts, level, count=count, shape=shape, generator=generator, learns=True
+        )
+        levels.append(replace(level, tuning=tuning))
     return SubsetSimulation(tuple(levels)), simulated
 
 
@@ -208,31 +253,22 @@ def _below_next_level(scores: FloatArray) -> BoolArray | None:
 
 
 def _run(
-    problem: Problem,
-    levels: Sequence[Level],
-    *,
-    count: int,
-    generator: np.random.Generator,
-    report: Callable[[float], None],
+    problem: Problem, levels: Sequence[Level], *, count: int, generator: np.random.Generator
 ) -> Going[ParticleRun]:
-    """One run; ``report`` gets how much of it is done."""
+    """One run."""
     shape, shares, simulated = _shape(problem), list[float](), count
     population = yield from _begun(shape, count, generator)
-    for number, level in enumerate(levels):
-        report(number / len(levels))
-        below = population.score <= level.threshold
-        shares.append(float(below.mean()))
-        if not below.any():
+    for level in levels:
+        below = np.flatnonzero(population.score <= level.threshold)
+        shares.append(below.size / count)
+        if not below.size:
             break
-        simulated += count - int(below.sum())
+        chains = level.chains(count)
+        simulated += count - chains
+        starts = population.take(below[copies(below.size, chains, generator)])
         population, _ = yield from _chains(
-            population.take(np.flatnonzero(below)),
-            level,
-            count=count,
-            shape=shape,
-            generator=generator,
+            starts, level, count=count, shape=shape, generator=generator
         )
-    report(1.0)
     scored = score(problem, population.rollouts)
     shares.append(float(scored.violated.mean()))
     return ParticleRun(
@@ -252,7 +288,7 @@ def _run(
 
 
 def _chains(
-    seeds: Population,
+    starts: Population,
     level: Level,
     *,
     count: int,
@@ -260,18 +296,19 @@ def _chains(
     generator: np.random.Generator,
     learns: bool = False,
 ) -> Going[tuple[Population, Tuning]]:
-    """``count`` rollouts at or below a level: the seeds, and what chains from them pass.
+    """``count`` rollouts at or below a level: those that chains start from, and all they pass.
 
     Chains are of equal lengths but for one; which are the longer is left to chance.
 
     Returns:
         They, and what was learned of moves.
     """
-    tuning, current, passed = level.tuning, seeds, [seeds]
-    left, far = count - seeds.score.size, float(seeds.score.std())
-    while left > 0:
-        if left < current.score.size:
-            current = current.take(np.sort(generator.permutation(current.score.size)[:left]))
+    tuning, current, passed = level.tuning, starts, [starts]
+    done, far = starts.score.size, float(starts.score.std())
+    while done < count:
+        if count - done < current.score.size:
+            longer = generator.permutation(current.score.size)[: count - done]
+            current = current.take(np.sort(longer))
         kind = tuning.chosen(current.score.size, generator)
         numbers = moved(
             current.numbers,
@@ -281,7 +318,7 @@ def _chains(
             spread=level.spread,
             generator=generator,
         )
-        rollouts, scores = yield numbers
+        rollouts, scores = yield Wanted(numbers, done)
         accepted = scores <= level.threshold
         if learns:
             jump = np.abs(scores - current.score)
@@ -293,5 +330,5 @@ def _chains(
         rows = np.arange(accepted.size)
         current = both.take(np.where(accepted, rows + accepted.size, rows))
         passed.append(current)
-        left -= accepted.size
+        done += accepted.size
     return Population.concatenate(passed), tuning
