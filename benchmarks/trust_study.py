@@ -47,7 +47,7 @@ class TrustStudy:
     rollouts: int = 1200
     """Budget of one run: rollouts, all stages; at least 24 for methods that learn."""
     particles: int = 2000
-    """Budget of one run of splitting: particles of all its runs; at least 20."""
+    """Budget of one run of splitting or subset: particles of all its runs; at least 20."""
     processes: Processes = 2
     """Processes; the figures do not depend on it; 1 to 256."""
     out: Path = Path("trust")
@@ -156,7 +156,7 @@ def _configs(
     refused: dict[tuple[str, str], str] = {}
     for method in study.methods:
         description = by_name(method)
-        budget = study.particles if "restarts" in description.needs else study.rollouts
+        budget = study.particles if description.interval_basis == "runs" else study.rollouts
         for case in cases:
             config = description.with_budget(replace(case.config, method=method), budget)
             try:

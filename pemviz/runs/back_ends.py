@@ -33,7 +33,7 @@ SUMO_BATCH_ROLLOUTS = 512
 OWN_BATCH_ROLLOUTS = 500
 MOST_ROLLOUTS = 10_000_000
 """Final rollouts that are weighted, or all kept: 4 GB a million of 100 states."""
-FIT_ANYWHERE = "use mixture, with splitting as an independent check"
+FIT_ANYWHERE = "use mixture, with {check} as an independent check"
 
 
 def build_back_end(config: ExperimentConfig) -> BackEnd:
@@ -141,7 +141,7 @@ def own_back_end(
             raise ConfigError(
                 f"{where}: it has latents, and a twin's states must be those that outcomes alone "
                 "lead to; of a random start alone, give pemviz.quantised_start(simulator, "
-                f"cells=...); without a twin, {FIT_ANYWHERE}"
+                f"cells=...); without a twin, {FIT_ANYWHERE.format(check='subset')}"
             )
         check_simulator(twin)
         if _shape_of(twin) != _shape_of(simulator):
@@ -217,12 +217,16 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
         lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"
     elif turns_of(back_end.simulator) > 1:
         lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
+    # splitting keeps the starts that rollouts were given, and goes on from kept states
+    check = "subset" if "restarts" in lacking or counts.at_start else "splitting"
     for need, complaint in lacking.items():
         if need in described.needs:
-            fits = "use mixture" if "restarts" in lacking else FIT_ANYWHERE
+            fits = FIT_ANYWHERE.format(check=check)
             raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
     if config.memory_curve and turns_of(back_end.simulator) > 1:
         raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
     if config.reference and "twin" in lacking:
-        fits = "leave it out" if "restarts" in lacking else "use splitting as an independent check"
-        raise ConfigError(f"reference = true: the reference {lacking['twin']}; {fits}")
+        raise ConfigError(
+            f"reference = true: the reference {lacking['twin']}; use {check} as an independent "
+            "check"
+        )

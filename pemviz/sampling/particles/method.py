@@ -98,6 +98,7 @@ class ParticleSampling:
             run, *ahead = state.ahead
         else:
             state, (run, *ahead) = self._next_runs(problem, state)
+        problem.progress(run.count, run.count)
         result = replace(
             final_stage(
                 repetition=state.repetition,

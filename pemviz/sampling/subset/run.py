@@ -142,9 +142,7 @@ class SubsetSimulation:
         going = [
             _run(problem, self.levels, count=count, generator=generator) for generator in generators
         ]
-        runs = _in_step(problem, going, report)
-        problem.progress(count, count)
-        return runs
+        return _in_step(problem, going, report)
 
 
 def _in_step(
