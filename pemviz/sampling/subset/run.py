@@ -66,6 +66,16 @@ class Population(Batch):
 
 
 @dataclass(frozen=True)
+class Heads(Batch):
+    """Where chains are: as in :class:`Population`, and the ``row [N]`` of all simulated."""
+
+    numbers: RandomNumbers
+    score: FloatArray
+    ancestor: IntArray
+    row: IntArray
+
+
+@dataclass(frozen=True)
 class Level:
     """A level and the moves below it, as they were found before a run begins.
 
@@ -301,8 +311,9 @@ def _chains(
     Returns:
         They, and what was learned of moves.
     """
-    tuning, current, passed = level.tuning, starts, [starts]
-    done, far = starts.score.size, float(starts.score.std())
+    tuning, done, far = level.tuning, starts.score.size, float(starts.score.std())
+    current = Heads(starts.numbers, starts.score, starts.ancestor, np.arange(done))
+    simulated, passed = [starts], [current.row]
     while done < count:
         if count - done < current.score.size:
             longer = generator.permutation(current.score.size)[: count - done]
@@ -322,11 +333,10 @@ def _chains(
             jump = np.abs(scores - current.score)
             gain = np.where(jump > 0.0, np.minimum(jump / far if far else 1.0, 1.0), 0.0)
             tuning = tuning.learned(kind, np.where(accepted, gain, 0.0), accepted)
-        both = Population.concatenate(
-            [current, Population(numbers, rollouts, scores, current.ancestor)]
-        )
+        simulated.append(Population(numbers, rollouts, scores, current.ancestor))
         rows = np.arange(accepted.size)
+        both = Heads.concatenate([current, Heads(numbers, scores, current.ancestor, rows + done)])
         current = both.take(np.where(accepted, rows + accepted.size, rows))
-        passed.append(current)
+        passed.append(current.row)
         done += accepted.size
-    return Population.concatenate(passed), tuning
+    return Population.concatenate(simulated).take(np.concatenate(passed)), tuning
