@@ -22,13 +22,21 @@ from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import nothing_finished, sample
 from pemviz.sampling.rollouts.runners import run_here
 from pemviz.sampling.state.composed import hidden_in, own_pem
-from pemviz.sampling.zero_variance.reference import reference, reference_of_few_states
-from pemviz.simulators.latents import within
+from pemviz.sampling.zero_variance.reference import (
+    FEW_STATES,
+    reference,
+    reference_of_few_states,
+)
+from pemviz.simulators.episodic import episodic
+from pemviz.simulators.latents import begun, latent_counts, within
+from pemviz.types import Simulator
 
 DISTANCE_ROLLOUTS = 200
 LEAST_KM = 1e-6
 SPAWN_KEY = 2**32 - 2
 """Of the child of the run's seed that rollouts for the distance are sampled by."""
+REFERENCE_SHARE, STEPS_OF_A_STATE = 0.2, 2
+"""Of the steps that rollouts took, how many the recursion may; two outcomes follow a state."""
 EXAMPLE = "rrc"
 """The shipped model whose memory is an example for models of single frames."""
 
@@ -126,18 +134,37 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     """A result with the reference; a warning if they disagree.
 
     Sampled where the configuration says so; else the recursion where the scenario has few states.
+    A system of the user's own without a twin is gone through itself, where that takes at most a
+    fifth of the steps that its rollouts took: no rollout may show the sequence that fails.
 
     Args:
         result: With the estimate of all repetitions.
         experiment: What was run; its problem's ``pause`` may raise to stop.
     """
-    twin = experiment.twin
-    if result.estimate is None or twin is None:
+    problem, twin = experiment.problem, experiment.twin
+    if result.estimate is None:
         return result
-    found = reference if experiment.config.reference else reference_of_few_states
-    compared = replace(result, reference=found(experiment.problem, twin=twin))
+    if twin is not None and experiment.config.reference:
+        found = reference(problem, twin=twin)
+    elif twin is not None:
+        found = reference_of_few_states(problem, twin=twin)
+    elif not _states_are_numbers(problem.simulator):
+        return result
+    else:
+        steps = result.estimate.rollouts_simulated * (problem.simulator.states - 1)
+        most = min(int(REFERENCE_SHARE * steps / STEPS_OF_A_STATE), FEW_STATES)
+        found = reference_of_few_states(problem, twin=problem.simulator, most_states=most)
+    compared = replace(result, reference=found)
     words = tuple(one.text for one in reference_diagnostics(compared))
     return replace(compared, warnings=(*result.warnings, *words))
+
+
+def _states_are_numbers(simulator: Simulator) -> bool:
+    """Whether outcomes alone lead from state to state, and equal states can be told."""
+    if latent_counts(simulator) or episodic(simulator) is not None:
+        return False
+    memory = begun(simulator, count=1).memory
+    return all(np.asarray(values).dtype.kind in "bif" for values in memory.values())
 
 
 def _with_data_plan(result: RunResult, *, experiment: Experiment) -> RunResult:

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from pemviz.config import ExperimentConfig
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.proposals.zero_variance import ZeroVarianceProposal
+from pemviz.runs.engine import run
+from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.estimates.diagnostics import reference_disagreement
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
@@ -235,3 +238,19 @@ def test_the_reference_stops_too(answer):
         answer(
             toy_problem_of(SIMULATOR, ToyPem(), pause=Pause(stop_at=counting.calls)), twin=SIMULATOR
         )
+
+
+def test_a_system_without_a_twin_is_gone_through_itself_where_its_states_are_few():
+    """Within a fifth of the steps that rollouts took; with latents, or more states, it is not."""
+    experiment = build_experiment(
+        ExperimentConfig(spec=f"always[0,{SIMULATOR.states - 1}] (gap >= 0.5)", seed=3),
+        simulator=SIMULATOR,
+        pem=ToyPem(),
+    )
+    result = run(experiment)
+    assert experiment.twin is None
+    assert result.reference is not None
+    exact = toy_probability_by_recursion(SIMULATOR, ToyPem())
+    assert result.reference.probability == pytest.approx(exact, rel=1e-9)
+    few = replace(experiment.config, stages=1, rollouts=2, final_rollouts=2)
+    assert run(build_experiment(few, simulator=SIMULATOR, pem=ToyPem())).reference is None

@@ -81,18 +81,21 @@ def reference(
     )
 
 
-def reference_of_few_states(problem: Problem, *, twin: Simulator) -> Reference | None:
+def reference_of_few_states(
+    problem: Problem, *, twin: Simulator, most_states: int | None = None
+) -> Reference | None:
     """The answer by recursion where that costs next to nothing.
 
     A check that shares no blind spot with sampling: it goes through every sequence of outcomes,
     also where no signal and no rollout points at the one that fails. ``None`` where the twin has
-    more than :data:`FEW_STATES` states, where single states do not decide the specification, or
+    more than ``most_states``, or :data:`FEW_STATES`, where single states do not decide the specification, or
     where the twin's start alone is quantised.
     """
     if problem.unsafe is None or start_cells(twin) != start_cells(problem.simulator):
         return None
+    most_states = FEW_STATES if most_states is None else most_states
     try:
-        log_probability = exact_log_probability(problem, twin=twin, most_states=FEW_STATES)
+        log_probability = exact_log_probability(problem, twin=twin, most_states=most_states)
     except TooManyStates:
         return None
     if log_probability is None:
