@@ -301,6 +301,8 @@ DiagnosticKind = Literal[
     "called-safe",
     "parts-disagree",
     "exploration-alone",
+    "hardly-sampled",
+    "chains-disagree",
     "reference-disagrees",
     "reference-unreliable",
     "unclassified",

@@ -133,6 +133,16 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL_BUT_COUNTS,
         in_repetitions="a failure mode was met by hardly any proposal but exploration",
     ),
+    "hardly-sampled": Meaning(
+        phrase="that independent chains have found",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="violations that independent chains have found were hardly sampled",
+    ),
+    "chains-disagree": Meaning(
+        phrase="independent chains find",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="independent chains find a higher probability",
+    ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same
     "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),
@@ -144,6 +154,9 @@ LARGEST_RATIO = 1e150
 """Of an error to what it is the error of: its square is a float64."""
 FEW_FAILURES = 10
 SMALLEST_LOG10 = math.log10(sys.float_info.min)
+MORE_ERROR, LEAST_ERROR = 2.0, 0.2
+"""How many times larger a standard error must be to matter, and as a share of the estimate."""
+WIDE_FACTOR = 2.0
 AGREEMENT_ERRORS = 3.0
 """Joint standard errors within which two estimates of the same agree."""
 
@@ -272,6 +285,33 @@ def exploration_alone(share: float) -> Sequence[Diagnostic]:
         "proposals would readily draw: a failure mode is not learned"
     )
     return (Diagnostic("exploration-alone", share, LARGE_SHARE, text),)
+
+
+def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnostic]:
+    """Of an average of weights with the relative standard error ``by_weights``.
+
+    ``by_chains`` is the same as violations tell it that were found without its proposals.
+    """
+    if by_chains <= max(MORE_ERROR * by_weights, LEAST_ERROR):
+        return ()
+    text = (
+        f"violations that independent chains have found are hardly sampled: by them the standard "
+        f"error is {by_chains:.2g} of the estimate, by the weights {by_weights:.2g}"
+    )
+    return (Diagnostic("hardly-sampled", by_chains, MORE_ERROR * by_weights, text),)
+
+
+def chains_disagreement(*, more: float, allowed: float) -> Sequence[Diagnostic]:
+    """Of an estimate beside independent chains that find ``more``, in logarithms [nats].
+
+    ``allowed`` is half of the chains' own 99 % interval. That tells little of less than a factor
+    of 2.
+    """
+    limit = max(allowed, math.log(WIDE_FACTOR))
+    if more <= limit:
+        return ()
+    text = f"independent chains find {math.exp(more):.2g} times the estimate"
+    return (Diagnostic("chains-disagree", more, limit, text),)
 
 
 def reference_disagreement(

@@ -12,14 +12,22 @@ if TYPE_CHECKING:
     from pemviz.sampling.kept import KeptRepetition, Recounted
     from pemviz.sampling.mixture.method import MixtureSampling
 
+CHAINS = 200
+"""Rollouts a level of chains, where they search."""
+
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     from pemviz.sampling.mixture.fit import FitSettings  # noqa: PLC0415  as above
     from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
     from pemviz.sampling.rollouts.large_stages import largest_part  # noqa: PLC0415  as above
     from pemviz.sampling.state.composed import proposal_features  # noqa: PLC0415  slow to import
+    from pemviz.simulators.episodic import episodic  # noqa: PLC0415  as above
+    from pemviz.simulators.latents import latent_counts  # noqa: PLC0415  as above
 
-    largest = largest_part(states=back_end.simulator.states)
+    simulator = back_end.simulator
+    searches = bool(latent_counts(simulator)) and episodic(simulator) is None
+    chains = CHAINS if searches else 0
+    largest = largest_part(states=simulator.states)
     return MixtureSampling(
         learning_stages=config.stages,
         rollouts=config.rollouts,
@@ -29,6 +37,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
         settings=FitSettings(alpha=config.alpha, sigma=config.sigma),
         largest_part=largest,
         enough=max(1, largest // 2),
+        chains=chains if config.chains is None else config.chains,
     )
 
 
@@ -45,7 +54,7 @@ MIXTURE = MethodDescription(
     recount=_recounted,
     remedy="more rollouts; --method zero-variance or splitting beside it",
     remedy_with_latents="more rollouts; --method splitting beside it",
-    settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts"}),
+    settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts", "chains"}),
     budget=learning_budget,
     with_budget=with_learning_budget,
 )

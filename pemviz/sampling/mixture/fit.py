@@ -170,7 +170,7 @@ def next_proposals(
     main = [
         replace(fit, share=fit.share / len(met))
         for one in met
-        for fit in _fit_to_failures(one, basis, settings)
+        for fit in fits_to_failures(one, basis, settings)
     ]
     if basis.mean.size > FEW_FEATURES and defensive < LARGEST_SHARE:
         main = [one for fit in main for one in _with_wide(fit)]
@@ -185,7 +185,7 @@ def next_proposals(
     towards: list[Fit] = []
     if not for_final and len(met) < len(pools):
         unmet = [one for one in pools if not one.violated.any()]
-        towards = [fit for one in unmet for fit in _fit_to_failures(one, basis, settings)]
+        towards = [fit for one in unmet for fit in fits_to_failures(one, basis, settings)]
     if explores:
         towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
     blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
@@ -197,7 +197,7 @@ def next_proposals(
     )
 
 
-def _fit_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
+def fits_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
     """The proposals nearest to the violating rollouts' distribution under the error model.
 
     One for each failure mode that the rollouts tell apart, the largest share first.

@@ -56,13 +56,15 @@ from pemviz.sampling.method import final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
-from pemviz.sampling.mixture.fit import FitSettings, next_proposals
+from pemviz.sampling.mixture.explored import against_chains, explored_fits, with_explored
+from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
 from pemviz.sampling.seeds import stage_seeds
+from pemviz.sampling.subset.exploring import Explored, explore
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
@@ -82,6 +84,7 @@ class MixtureSampling:
         settings: How proposals are fitted.
         largest_part: How many final rollouts are sampled at once.
         enough: Violations after which a stage of more rollouts, from which is learned, is over.
+        chains: Rollouts a level of the chains that search for failure modes first; 0: none do.
     """
 
     learning_stages: int
@@ -92,6 +95,7 @@ class MixtureSampling:
     settings: FitSettings = field(default_factory=FitSettings)
     largest_part: int = LARGEST_PART
     enough: int = LARGEST_PART // 2
+    chains: int = 0
     name: str = "mixture"
 
     @property
@@ -115,12 +119,15 @@ class MixtureSampling:
             rules=stages.several_rules(problem),
             many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
             before=plain,
+            steps=problem.simulator.states - 1,
         )
 
     def step(self, problem: Problem, state: MixtureState) -> tuple[MixtureState, StageResult]:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
         last = self._is_last(state)
+        if self.chains and state.explored is None:
+            state = replace(state, explored=self._explored(problem, state))
         sampled = self._sampled(problem, state)
         basis = state.basis or first_basis(sampled.joining.sample, state.features)
         component = self._components(state, sampled.count)
@@ -152,7 +159,7 @@ class MixtureSampling:
             explores=self._explores(advanced.stage),
             for_final=self._is_last(advanced),
         )
-        advanced = replace(advanced, fits=fits, plain=plain)
+        advanced = self._with_explored(replace(advanced, plain=plain), fits, basis, steps=steps)
         return advanced, replace(
             result,
             kind="pretrain" if state.stage == 0 else "learn",
@@ -161,6 +168,39 @@ class MixtureSampling:
             elites=fits[-1].elites,
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
+        )
+
+    def _explored(self, problem: Problem, state: MixtureState) -> Explored:
+        return explore(
+            stages.watching(problem),
+            rollouts=self.chains,
+            seed=self.seed,
+            repetition=state.repetition,
+        )
+
+    def _with_explored(
+        self, state: MixtureState, fits: tuple[Fit, ...], basis: PolynomialBasis, *, steps: int
+    ) -> MixtureState:
+        """With what the next stage samples from: fitted to the pool, and to what chains found."""
+        explored, pool = state.explored, state.pool
+        if explored is None or pool is None:
+            return replace(state, fits=fits)
+        own = state.explored_fits
+        if state.stage == 1:
+            terms = self._terms(state, basis, steps)
+            own = explored_fits(explored, terms=terms, basis=basis, settings=self.settings)
+        fits = with_explored(fits, own, rollouts=pool.count)
+        return replace(state, fits=fits, explored_fits=own)
+
+    def _terms(self, state: MixtureState, basis: PolynomialBasis, steps: int) -> Terms:
+        return Terms(
+            features=state.features,
+            basis=basis,
+            defensive=stages.defence(steps),
+            turns=state.turns,
+            starts=state.starts,
+            rules=state.rules,
+            many=state.many,
         )
 
     def under_rule(self, state: MixtureState, rule: str) -> MixtureState:
@@ -195,6 +235,11 @@ class MixtureSampling:
         )
         wrong = () if state.absorbing else (not_absorbing(),)
         disagree = disagreements(pool, final=final)
+        if state.explored is not None and state.basis is not None:
+            terms = self._terms(state, state.basis, state.steps)
+            disagree = (*disagree, *against_chains(state.explored, pool, found, terms=terms))
+            simulated = found.rollouts_simulated + state.explored.simulated
+            found = replace(found, rollouts_simulated=simulated)
         return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
@@ -287,15 +332,7 @@ class MixtureSampling:
     ) -> Pool:
         """The pool with the stage's rollouts."""
         new, last = () if state.frozen else state.fits, self._is_last(state)
-        terms = Terms(
-            features=state.features,
-            basis=basis,
-            defensive=stages.defence(sampled.scored.rollouts.detected.shape[1]),
-            turns=state.turns,
-            starts=state.starts,
-            rules=state.rules,
-            many=state.many,
-        )
+        terms = self._terms(state, basis, sampled.scored.rollouts.detected.shape[1])
         pool = state.pool
         if pool is None and state.before is not None:
             pool = with_plain(state.before, terms)

@@ -107,7 +107,7 @@ def extended(
     else:
         own = component if joining.row is None else component[joining.row]
         fresh = replace(
-            _pool_of(joining.scored, own, proposals, terms),
+            pool_of(joining.scored, own, proposals, terms),
             component=component,
             row=joining.row,
             log_stands_for=joining.log_stands_for,
@@ -137,7 +137,7 @@ def with_plain(plain: PlainRollouts, terms: Terms) -> Pool:
     )
 
 
-def _pool_of(
+def pool_of(
     scored: ScoredRollouts, component: IntArray, proposals: Sequence[FittedMoves], terms: Terms
 ) -> Pool:
     """The pool of ``scored`` alone."""
@@ -179,7 +179,7 @@ def _pool_of(
     )
 
 
-def _failing_of(  # noqa: PLR0917  as _pool_of takes them
+def _failing_of(  # noqa: PLR0917  as pool_of takes them
     scored: ScoredRollouts,
     component: IntArray,
     proposals: Sequence[FittedMoves],
@@ -196,12 +196,12 @@ def _failing_of(  # noqa: PLR0917  as _pool_of takes them
     some = [rows[slice(*pair)] for pair in itertools.pairwise(edges.tolist())] or [rows]
     log_p, failing = np.full(component.size, np.nan), list[FailingWeights]()
     for few in some:
-        part = _pool_of(scored.take(few), component[few], proposals, terms)
+        part = pool_of(scored.take(few), component[few], proposals, terms)
         log_p[few] = part.log_p
         by_rule: dict[Rule, FloatArray] = {None: part.log_ratio, **part.rule_log_ratio}
         failing.append(FailingWeights.of(first + few, by_rule, planned))
     return replace(
-        _pool_of(scored.take(slice(0)), component[:0], proposals, terms),
+        pool_of(scored.take(slice(0)), component[:0], proposals, terms),
         component=component,
         robustness=scored.robustness,
         violated=scored.violated,

@@ -41,6 +41,7 @@ from pemviz.sampling.mixture.fit import Fit
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.problem import FinishedStage, Problem, sample, sample_batches
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
+from pemviz.sampling.subset.exploring import Explored
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
@@ -235,6 +236,9 @@ class MixtureState:
         many: Whether the learning stages have more rollouts than are sampled at once.
         before: Plain rollouts from before the first stage.
         plain: What plain rollouts have told so far, and how many the next stage has.
+        steps: Of a rollout.
+        explored: What chains found; ``None``: nothing was searched for.
+        explored_fits: Proposals fitted to that; empty before the first stage.
     """
 
     repetition: int
@@ -251,6 +255,9 @@ class MixtureState:
     many: bool = False
     before: PlainRollouts | None = None
     plain: PlainViolations = field(default_factory=PlainViolations)
+    steps: int = 0
+    explored: Explored | None = None
+    explored_fits: tuple[Fit, ...] = ()
 
     @property
     def final(self) -> slice:
@@ -262,6 +269,15 @@ class MixtureState:
 def several_rules(problem: Problem) -> tuple[str, ...]:
     """Their names; empty where there are not several."""
     return tuple(problem.rules) if len(problem.rules) > 1 else ()
+
+
+def watching(problem: Problem) -> Problem:
+    """With a simulator that remembers what is broken, and that nothing is left to break."""
+    rules = several_rules(problem)
+    if not rules:
+        return with_absorbing_violation(problem)
+    each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
+    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
 
 
 def main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:
@@ -284,12 +300,10 @@ def sampled(
 ) -> ScoredRollouts:
     """Rollouts sampled from given components, ascending, ``[N]``, and scored.
 
-    The simulator remembers what is broken, and a rollout that nothing is left for it to break.
-
     Raises:
         SimulationError: A batch has something that is no finite number, or takes too long.
     """
-    problem = _remembering(problem)
+    problem = watching(problem)
     proposal = _divided(problem, state, component, np.random.default_rng(seeds.spawn(1)[0]))
     return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
 
@@ -304,21 +318,12 @@ def sampled_plainly(
     """
     first, row, violating = 0, list[IntArray](), list[ScoredRollouts]()
     model = PemProposal()
-    for batch in sample_batches(_remembering(problem), proposal=model, count=count, seeds=seeds):
+    for batch in sample_batches(watching(problem), proposal=model, count=count, seeds=seeds):
         own = np.flatnonzero(batch.violated).astype(np.int64)
         row.append(first + own)
         violating.append(batch.take(own))
         first += batch.rollouts.count
     return PlainRollouts(count, np.concatenate(row), ScoredRollouts.concatenate(violating))
-
-
-def _remembering(problem: Problem) -> Problem:
-    """The problem whose states remember what is broken: up to there outcomes count."""
-    rules = several_rules(problem)
-    if not rules:
-        return with_absorbing_violation(problem)
-    each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
-    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
 
 
 def _divided(

@@ -88,8 +88,8 @@ def reference_of_few_states(
 
     A check that shares no blind spot with sampling: it goes through every sequence of outcomes,
     also where no signal and no rollout points at the one that fails. ``None`` where the twin has
-    more than ``most_states``, or :data:`FEW_STATES`, where single states do not decide the specification, or
-    where the twin's start alone is quantised.
+    more than ``most_states``, or :data:`FEW_STATES`, where single states do not decide the
+    specification, or where the twin's start alone is quantised.
     """
     if problem.unsafe is None or start_cells(twin) != start_cells(problem.simulator):
         return None

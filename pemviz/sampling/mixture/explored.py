@@ -1,0 +1,118 @@
+"""Failure modes that Markov chains find before proposals are fitted.
+
+A proposal is fitted to violations that were met, and what was never met shows neither in weights
+nor in what is computed from them. Where rollouts begin at random or noise enters at each step,
+violations may lie on several sides of what is likely. So chains that know no proposal search first
+(:mod:`pemviz.sampling.subset.exploring`). Their violations follow the model where it violates: what
+a proposal is to be (Chan, Kroese 2012 fit it to such chains). One is fitted for each failure mode
+that they tell apart, and these keep a share of every stage. The chains' violations are not part
+of the estimate.
+
+They check it. With w = p / q of the pool's mixture q and m = E[w | violates], rollouts of q vary by
+mu m - mu^2: where q hardly samples what the chains have found, m is large, whatever the weights of
+rollouts of q say. And the chains' own estimates of mu have no bias. That they find less says
+nothing against an average of weights, which overlooks and does not invent; finding more does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from pemviz.arrays import FloatArray, log_sum_exp
+from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.sampling.estimates.diagnostics import (
+    chains_disagreement,
+    hardly_sampled,
+)
+from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, log_shares
+from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
+from pemviz.sampling.mixture.pooling import Terms, pool_of
+from pemviz.sampling.subset.exploring import Explored
+from pemviz.types import Diagnostic, Estimate
+
+SHARE = 0.25
+"""Of a stage's rollouts that are not exploration proposals, sampled from the chains' proposals."""
+LEVEL = 0.995
+"""Of the two-sided interval that the chains' estimates are compared by: 99 %."""
+MOST_NATS = 700.0
+"""Of which the exponential is a float64."""
+
+
+def explored_fits(
+    explored: Explored, *, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+) -> tuple[Fit, ...]:
+    """A proposal for each failure mode among what the chains found; their shares sum to 1."""
+    pool = _pool(explored, (), terms)
+    if pool is None:
+        return ()
+    pool = replace(pool, log_ratio=-explored.log_weight[:, None])
+    fits = fits_to_failures(pool, basis, settings)
+    total = sum(fit.share for fit in fits)
+    return tuple(replace(fit, share=fit.share / total) for fit in fits)
+
+
+def with_explored(
+    fits: Sequence[Fit], explored: Sequence[Fit], *, rollouts: int
+) -> tuple[Fit, ...]:
+    """What a stage samples from, the main proposal first, those of chains last.
+
+    ``rollouts`` are the pool's, to which those of chains were not fitted.
+    """
+    if not explored:
+        return tuple(fits)
+    return (
+        *(replace(fit, share=(1.0 - SHARE) * fit.share) for fit in fits),
+        *(replace(fit, share=SHARE * fit.share, optimism=np.zeros(rollouts)) for fit in explored),
+    )
+
+
+def against_chains(
+    explored: Explored, pool: Pool, estimate: Estimate, *, terms: Terms
+) -> tuple[Diagnostic, ...]:
+    """What is wrong with an estimate beside what chains found."""
+    if estimate.probability == 0.0 or estimate.std_error is None:
+        return ()
+    log_estimate = math.log(10.0) * (estimate.log10_probability or 0.0)
+    totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
+    own = _pool(explored, pool.proposals, terms)
+    if own is None:
+        return totals
+    own = own.under_rule(pool.rule) if pool.rule else own
+    violated = own.violated
+    if not violated.any():
+        return totals
+    shares = log_shares(np.bincount(pool.component, minlength=own.log_ratio.shape[1]))
+    log_q = np.asarray(log_sum_exp(own.log_ratio[violated] + shares, axis=1))
+    log_p = explored.log_weight[violated]
+    log_moment = log_sum(log_p - log_q) - log_sum(log_p)
+    excess = max(math.expm1(min(log_moment - log_estimate, MOST_NATS)), 0.0)
+    hardly = hardly_sampled(
+        by_chains=math.sqrt(excess / pool.sampled),
+        by_weights=estimate.std_error / estimate.probability,
+    )
+    return (*totals, *hardly)
+
+
+def _totals(log_probability: FloatArray, log_estimate: float) -> tuple[Diagnostic, ...]:
+    """Runs whose logarithms are about normal tell the log of their mean's interval."""
+    runs = log_probability.size
+    if not np.isfinite(log_probability).all():
+        return ()
+    variance = float(np.var(log_probability, ddof=1))
+    centre = float(np.mean(log_probability)) + 0.5 * variance
+    half = float(stdtrit(runs - 1, LEVEL)) * math.sqrt(
+        variance / runs + 0.5 * variance**2 / (runs - 1)
+    )
+    return tuple(chains_disagreement(more=centre - log_estimate, allowed=half))
+
+
+def _pool(explored: Explored, proposals: Sequence[FittedMoves], terms: Terms) -> Pool | None:
+    scored = explored.scored
+    if scored is None:
+        return None
+    component = np.zeros(scored.rollouts.count, dtype=np.int64)
+    return pool_of(scored, component, proposals, terms)

@@ -1,0 +1,62 @@
+"""Violations that a few short runs of chains find, for methods that are to know of all their kinds.
+
+None of the runs has to be precise; they are independent of each other, and each searches all of the
+model's probability.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pemviz.arrays import FloatArray
+from pemviz.sampling.problem import Problem
+from pemviz.sampling.subset.run import SubsetSimulation
+from pemviz.types import ScoredRollouts
+
+RUNS = 4
+"""Of chains, beside the one that finds their levels."""
+APART = 4
+"""One in so many of the violations is kept: neighbours in a chain are nearly the same."""
+SPAWN_KEY = 2**32 - 3
+"""Of the child of a repetition's seed that chains are sampled by."""
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What the runs found.
+
+    Attributes:
+        scored: E violations; ``None``: there are none.
+        log_weight: Of each, by what its run found in all, ``[E]`` [nats].
+        log_probability: What each run found, without bias, ``[R]`` [nats]; -inf: nothing violated.
+        simulated: Rollouts that it took.
+    """
+
+    scored: ScoredRollouts | None
+    log_weight: FloatArray
+    log_probability: FloatArray
+    simulated: int
+
+
+def explore(problem: Problem, *, rollouts: int, seed: int, repetition: int) -> Explored:
+    """Runs with ``rollouts`` a level.
+
+    Raises:
+        SimulationError: Something raises, is no finite number, or a batch takes too long.
+    """
+    seeds = np.random.SeedSequence(seed, spawn_key=(repetition, SPAWN_KEY)).spawn(RUNS + 1)
+    first, *others = (np.random.default_rng(one) for one in seeds)
+    prepared, simulated = SubsetSimulation().prepare(problem, count=rollouts, generator=first)
+    runs = prepared.carry_out(problem, count=rollouts, generators=others)
+    simulated += sum(run.simulated for run in runs)
+    log_probability = np.array([run.log_probability for run in runs])
+    parts: list[ScoredRollouts] = []
+    log_weight = [np.empty(0)]
+    for run in runs:
+        few = np.flatnonzero(run.scored.violated)[::APART]
+        if few.size:
+            parts.append(run.scored.take(few))
+            log_weight.append(np.full(few.size, run.log_probability - math.log(few.size)))
+    scored = ScoredRollouts.concatenate(parts) if parts else None
+    return Explored(scored, np.concatenate(log_weight), log_probability, simulated)
