@@ -30,9 +30,9 @@ from pemviz.sampling.estimates.diagnostics import (
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, log_shares
 from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
-from pemviz.sampling.mixture.pooling import Terms, pool_of
+from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.subset.exploring import Explored
-from pemviz.types import Diagnostic, Estimate
+from pemviz.types import Diagnostic, Estimate, ScoredRollouts
 
 SHARE = 0.25
 """Of a stage's rollouts that are not exploration proposals, sampled from the chains' proposals."""
@@ -46,10 +46,13 @@ def explored_fits(
     explored: Explored, *, terms: Terms, basis: PolynomialBasis, settings: FitSettings
 ) -> tuple[Fit, ...]:
     """A proposal for each failure mode among what the chains found; their shares sum to 1."""
-    pool = _pool(explored, (), terms)
-    if pool is None:
+    if explored.scored is None:
         return ()
-    pool = replace(pool, log_ratio=-explored.log_weight[:, None])
+    model = error_model(explored.scored.rollouts, terms)
+    pool = _pool(explored.scored, (model,), terms)
+    # what they count as under the error model, in place of a likelihood ratio
+    as_weighted = np.repeat(-explored.log_weight[:, None], pool.log_ratio.shape[1], axis=1)
+    pool = replace(pool, log_ratio=as_weighted)
     fits = fits_to_failures(pool, basis, settings)
     total = sum(fit.share for fit in fits)
     return tuple(replace(fit, share=fit.share / total) for fit in fits)
@@ -78,9 +81,9 @@ def against_chains(
         return ()
     log_estimate = math.log(10.0) * (estimate.log10_probability or 0.0)
     totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
-    own = _pool(explored, pool.proposals, terms)
-    if own is None:
+    if explored.scored is None:
         return totals
+    own = _pool(explored.scored, pool.proposals, terms)
     own = own.under_rule(pool.rule) if pool.rule else own
     violated = own.violated
     if not violated.any():
@@ -110,9 +113,6 @@ def _totals(log_probability: FloatArray, log_estimate: float) -> tuple[Diagnosti
     return tuple(chains_disagreement(more=centre - log_estimate, allowed=half))
 
 
-def _pool(explored: Explored, proposals: Sequence[FittedMoves], terms: Terms) -> Pool | None:
-    scored = explored.scored
-    if scored is None:
-        return None
+def _pool(scored: ScoredRollouts, proposals: Sequence[FittedMoves], terms: Terms) -> Pool:
     component = np.zeros(scored.rollouts.count, dtype=np.int64)
     return pool_of(scored, component, proposals, terms)

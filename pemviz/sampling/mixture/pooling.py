@@ -100,7 +100,7 @@ def extended(
             those that violate.
     """
     moves = [each for each, _ in new]
-    known = pool.proposals if pool else (_error_model(joining.scored.rollouts, terms),)
+    known = pool.proposals if pool else (error_model(joining.scored.rollouts, terms),)
     proposals = (*known, *moves)
     if pool is not None and planned is not None:
         fresh = _failing_of(joining.scored, component, proposals, terms, planned, pool.count)
@@ -212,7 +212,7 @@ def _failing_of(  # noqa: PLR0917  as pool_of takes them
     )
 
 
-def _error_model(rollouts: RolloutBatch, terms: Terms) -> FittedMoves:
+def error_model(rollouts: RolloutBatch, terms: Terms) -> FittedMoves:
     """The proposal that moves nothing."""
     means, latents = None, rollouts.latents
     if latents is not None and (terms.starts or latents.noise.shape[2]):
