@@ -301,6 +301,7 @@ DiagnosticKind = Literal[
     "called-safe",
     "parts-disagree",
     "exploration-alone",
+    "plain-disagrees",
     "hardly-sampled",
     "chains-disagree",
     "reference-disagrees",

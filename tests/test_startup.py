@@ -47,7 +47,7 @@ def test_import_needs_not_even_numpy():
 
 def test_what_methods_are_is_told_without_numpy():
     watched = {*NEITHER, "numpy"}
-    code = "import sys; from pemviz.sampling.registry import SHIPPED; assert len(SHIPPED) == 7;"
+    code = "import sys; from pemviz.sampling.registry import SHIPPED; assert len(SHIPPED) == 8;"
     code += f"print('loaded', sorted({watched!r} & set(sys.modules)))"
     assert loaded(code) == "loaded []"
 

@@ -19,7 +19,16 @@ from pemviz.errors import ConfigError
 METHODS = NamedPart(
     kind="method",
     group="pemviz.methods",
-    shipped=("adaptive", "mixture", "zero-variance", "splitting", "subset", "monte-carlo", "naive"),
+    shipped=(
+        "auto",
+        "adaptive",
+        "mixture",
+        "zero-variance",
+        "splitting",
+        "subset",
+        "monte-carlo",
+        "naive",
+    ),
 )
 """What each of them is: ``pemviz.sampling.registry``."""
 MethodName = Annotated[str, METHODS]
@@ -178,6 +187,12 @@ class ExperimentConfig:
     sigma: Annotated[float, Range(low=0.95, high=1.0, high_open=True)] = 0.95
     """Elite quantile: a stage learns from the least robust 1 - sigma (mixture: while it looks for
     violations, counted by weight); at least 0.95, below 1."""
+    precision: Annotated[float, Range(low=0.001, high=1.0)] = 0.2
+    """Half-width of the 95 % interval, as a share of the answer, that method auto goes on for;
+    0.001 to 1."""
+    max_rollouts: Annotated[int, Range(low=10, high=100_000_000)] | None = None
+    """Rollouts at most that method auto samples from proposals; 10 to 100 million. Left out, ten
+    times those of stages, rollouts and final_rollouts."""
     chains: Annotated[int, Range(low=0, high=100_000)] | None = None
     """Rollouts a level of the Markov chains that search for failure modes before mixture fits
     proposals; 0 to 100,000, 0: none do. Left out, 200 where rollouts begin at random or noise

@@ -17,6 +17,7 @@ from pemviz.config import METHODS, ExperimentConfig
 from pemviz.errors import ConfigError, InputError
 from pemviz.faults import exception_text
 from pemviz.sampling.adaptive.description import ADAPTIVE
+from pemviz.sampling.auto.description import AUTO
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.direct.description import MONTE_CARLO, NAIVE
 from pemviz.sampling.mixture.description import MIXTURE
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from pemviz.sampling.back_end import BackEnd
     from pemviz.sampling.method import Method
 
-SHIPPED = (ADAPTIVE, MIXTURE, ZERO_VARIANCE, SPLITTING, SUBSET, MONTE_CARLO, NAIVE)
+SHIPPED = (AUTO, ADAPTIVE, MIXTURE, ZERO_VARIANCE, SPLITTING, SUBSET, MONTE_CARLO, NAIVE)
 METHOD_MEMBERS = ("name", "stages", "init", "step", "is_done", "estimate")
 
 

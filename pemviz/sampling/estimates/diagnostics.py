@@ -133,6 +133,11 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL_BUT_COUNTS,
         in_repetitions="a failure mode was met by hardly any proposal but exploration",
     ),
+    "plain-disagrees": Meaning(
+        phrase="plain rollouts that violate",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="plain rollouts find another probability",
+    ),
     "hardly-sampled": Meaning(
         phrase="that independent chains have found",
         undermines=ALL_BUT_COUNTS,
@@ -285,6 +290,19 @@ def exploration_alone(share: float) -> Sequence[Diagnostic]:
         "proposals would readily draw: a failure mode is not learned"
     )
     return (Diagnostic("exploration-alone", share, LARGE_SHARE, text),)
+
+
+def plain_disagreement(
+    probability: float, *, low: float, high: float, failures: int, rollouts: int
+) -> Sequence[Diagnostic]:
+    """Of an estimate beside a count of plain rollouts, with the count's exact interval."""
+    if low <= probability <= high:
+        return ()
+    text = (
+        f"{failures} of {rollouts} plain rollouts that violate cannot be reconciled with it: "
+        f"they put the probability between {low:.2g} and {high:.2g}"
+    )
+    return (Diagnostic("plain-disagrees", failures / rollouts, high, text),)
 
 
 def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnostic]:

@@ -218,11 +218,24 @@ class MixtureSampling:
         Raises:
             ValueError: The final rollouts are not drawn yet.
         """
-        pool = state.pool
-        if pool is None or not self.is_done(state):
+        if state.pool is None or not self.is_done(state):
             message = "the final rollouts have not been sampled yet"
             raise ValueError(message)
-        final, judged = state.final, pool.judged
+        return self._estimate(state, state.pool, final=state.final)
+
+    def preview(self, state: MixtureState) -> Estimate:
+        """What the rollouts of the stages so far say, of which the newest is held to the others.
+
+        Raises:
+            ValueError: There are none.
+        """
+        if state.pool is None:
+            message = "nothing has been sampled yet"
+            raise ValueError(message)
+        return self._estimate(state, state.pool, final=slice(-self.rollouts, None))
+
+    def _estimate(self, state: MixtureState, pool: Pool, *, final: slice) -> Estimate:
+        final, judged = slice(*final.indices(pool.sampled)), pool.judged
         found = mixture_estimate(
             method=self.name,
             log_weight=judged.log_weight,
@@ -241,6 +254,10 @@ class MixtureSampling:
             simulated = found.rollouts_simulated + state.explored.simulated
             found = replace(found, rollouts_simulated=simulated)
         return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))
+
+    def extended(self, *, stages: int, rollouts: int) -> "MixtureSampling":
+        """The method with more learning stages, all yet to come with so many ``rollouts``."""
+        return replace(self, learning_stages=self.learning_stages + stages, rollouts=rollouts)
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were sampled.

@@ -1,0 +1,1 @@
+"""Method ``auto``: plain rollouts for as long as they pay, then proposals."""

@@ -1,0 +1,71 @@
+"""What method ``auto`` is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.description import MethodDescription, learning_budget, with_learning_budget
+
+if TYPE_CHECKING:
+    from pemviz.sampling.auto.method import AutoSampling
+    from pemviz.sampling.back_end import BackEnd
+
+PLAIN_SHARE = 0.2
+"""Plain rollouts of the first stage, beside those that proposals begin with."""
+LOOKED_AT = 2
+"""Times those that proposals begin with: plain rollouts at most until a way is chosen."""
+PLAIN_PAYS, PLAIN_PAYS_SLOWLY = 20, 2
+"""Times likewise, up to which plain rollouts are no dearer than proposals: fitting takes as long as
+so many, but where rollouts are slow."""
+FAST_BATCH = 1_000
+MOST_TIMES = 10
+"""Times likewise, up to which proposals go on."""
+
+
+def _with_budget(config: ExperimentConfig, rollouts: int) -> ExperimentConfig:
+    return replace(with_learning_budget(config, rollouts), max_rollouts=rollouts)
+
+
+def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
+    from pemviz.sampling.auto.method import AutoSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
+    from pemviz.sampling.registry import by_name  # noqa: PLC0415  imports this module
+    from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
+
+    mixture = by_name("mixture").build(config, back_end)
+    assert isinstance(mixture, MixtureSampling)  # noqa: S101  as it is registered
+    budget = learning_budget(config).rollouts
+    is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH
+    return AutoSampling(
+        mixture=mixture,
+        first=max(int(PLAIN_SHARE * budget), 2),
+        most_looked_at=LOOKED_AT * budget,
+        most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
+        most=MOST_TIMES * budget if config.max_rollouts is None else config.max_rollouts,
+        precision=config.precision,
+    )
+
+
+AUTO = MethodDescription(
+    name="auto",
+    summary="plain rollouts for as long as they pay, then mixture until the answer is precise",
+    build=_build,
+    remedy="a larger --max-rollouts; --method subset or zero-variance beside it",
+    remedy_with_latents="a larger --max-rollouts; --method subset beside it",
+    settings=frozenset(
+        {
+            "alpha",
+            "chains",
+            "final_rollouts",
+            "max_rollouts",
+            "precision",
+            "rollouts",
+            "sigma",
+            "stages",
+        }
+    ),
+    budget=learning_budget,
+    with_budget=_with_budget,
+)

@@ -1,0 +1,113 @@
+"""Method auto: plain rollouts where they pay, proposals where they do not, one answer checked."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from scipy import stats
+
+from pemviz.config import ExperimentConfig
+from pemviz.runs.engine import run
+from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.estimates.diagnostics import plain_disagreement
+from pemviz.sampling.problem import FinishedStage
+from tests.latent_toys import Drift
+from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion
+from tests.toy import ConstantPem, MissCounter, exact_failure_probability, stepped_through
+
+RARE = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
+OFTEN = ToySimulator(initial_gap=2, states=12), ToyPem(at_zero=1.0)
+
+
+def experiment(simulator, pem, **settings):
+    spec = f"always[0,{simulator.states - 1}] (gap >= 0.5)"
+    config = ExperimentConfig(method="auto", spec=spec, **settings)
+    return build_experiment(config, simulator=simulator, pem=pem)
+
+
+def answers(simulator, pem, *, seeds, **settings):
+    return [run(experiment(simulator, pem, seed=seed, **settings)) for seed in range(seeds)]
+
+
+@pytest.mark.parametrize("precision", [0.1, 0.3])
+def test_frequent_violations_are_counted_as_precisely_as_was_asked(precision):
+    """Of 20 exact 95 % intervals fewer than 16 hold in three of a thousand studies."""
+    exact = toy_probability_by_recursion(*OFTEN)
+    assert exact > 0.02
+    results = answers(*OFTEN, seeds=20, precision=precision)
+    held = 0
+    for result in results:
+        found = result.estimate
+        assert found.method == "monte-carlo"
+        assert {stage.kind for stage in result.stages} <= {"pretrain", "final"}
+        assert found.ci_high - found.ci_low < 2.6 * precision * found.probability
+        held += found.ci_low <= exact <= found.ci_high
+    assert held >= 16
+
+
+def test_rare_violations_are_left_to_proposals():
+    exact = toy_probability_by_recursion(*RARE)
+    assert exact < 1e-4
+    for result in answers(*RARE, seeds=4):
+        found = result.estimate
+        assert found.method == "mixture"
+        assert result.stages[0].kind == "pretrain"
+        assert found.rollouts_simulated == sum(stage.rollouts for stage in result.stages)
+        assert found.probability == pytest.approx(exact, rel=0.5)
+
+
+def test_what_is_not_precise_goes_on_and_stops_at_the_most():
+    few = experiment(*RARE, seed=1, precision=0.02, max_rollouts=6_000)
+    found = run(few).estimate
+    assert found.rollouts_simulated <= 6_000 + few.method.first
+    assert found.rollouts_simulated > 3_000
+    coarse = run(experiment(*RARE, seed=1, precision=0.5)).estimate
+    assert coarse.rollouts_simulated < found.rollouts_simulated / 2
+    assert found.std_error < coarse.std_error
+
+
+@pytest.mark.parametrize("system", [RARE, OFTEN])
+@pytest.mark.parametrize("stops", [1, 2, 5])
+def test_a_repetition_goes_on_to_the_last_bit_from_what_is_left(system, stops):
+    whole = experiment(*system, seed=3, precision=0.1)
+    state, results = stepped_through(whole.method, whole.problem)
+    left = {
+        result.stage: FinishedStage(result.scored, result.kept, result.sampled)
+        for result in results[:stops]
+    }
+    problem = replace(whole.problem, finished=lambda _, stage: left.get(stage))
+    again, _ = stepped_through(whole.method, problem)
+    assert whole.method.estimate(again) == whole.method.estimate(state)
+
+
+def test_two_sides_of_random_starts_and_noise_are_both_found():
+    """Misses apart, |distance| over a limit has two modes that are equally likely."""
+    drift = Drift(states=9)
+    limit = 4.5 * math.sqrt(0.5**2 + 8 * 0.2**2)
+    exact = 2.0 * stats.norm.sf(4.5)
+    last = drift.states - 1
+    spec = f"eventually[{last},{last}] (distance <= {limit!r} and distance >= {-limit!r})"
+    for seed in range(5):
+        config = ExperimentConfig(method="auto", spec=spec, seed=seed)
+        found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
+        assert found.probability == pytest.approx(exact, rel=0.5)
+
+
+def test_an_answer_that_plain_rollouts_contradict_is_told():
+    inside = {"low": 0.01, "high": 0.03, "failures": 20, "rollouts": 1_000}
+    assert plain_disagreement(0.02, **inside) == ()
+    (low,) = plain_disagreement(0.002, **inside)
+    (high,) = plain_disagreement(0.2, **inside)
+    assert low.kind == high.kind == "plain-disagrees"
+    assert "20 of 1000 plain rollouts" in low.text
+
+
+def test_a_closed_form_on_either_side_of_the_choice():
+    """From a probability of 0.4 to one of 1e-7; 0.4 apart is 4 of the errors asked for."""
+    for miss, method in ((0.25, "monte-carlo"), (0.001, "mixture")):
+        exact = exact_failure_probability(steps=12, miss_probability=miss)
+        simulator = MissCounter(states=13)
+        config = ExperimentConfig(method="auto", spec="always[0,12] (gap >= 0)", seed=5)
+        result = run(build_experiment(config, simulator=simulator, pem=ConstantPem(miss)))
+        assert result.estimate.method == method
+        assert result.estimate.probability == pytest.approx(exact, rel=0.4)
