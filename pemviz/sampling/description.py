@@ -69,6 +69,7 @@ class MethodDescription:
             has been reached on the way to a violation.
         follows_model: Whether rollouts are drawn from the error model itself.
         curve_name: What the proposal is called where it is drawn; ``None``: that of a stage.
+        goes_on: Whether ``budget`` is what it begins with: it goes on until its answer is precise.
         learning_words: What there is to see of the proposal, in a few sentences.
     """
 
@@ -90,6 +91,7 @@ class MethodDescription:
     counting: Counting = "rollouts"
     follows_model: bool = False
     curve_name: str | None = None
+    goes_on: bool = False
     learning_words: str = LEARNING_WORDS
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ LOOKED_AT = 2
 PLAIN_PAYS, PLAIN_PAYS_SLOWLY = 20, 2
 """Times likewise, up to which plain rollouts are no dearer than proposals: fitting takes as long as
 so many, but where rollouts are slow."""
-FAST_BATCH = 1_000
+FAST_BATCH = 100
 MOST_TIMES = 10
 """Times likewise, up to which proposals go on."""
 
@@ -30,16 +30,13 @@ def _with_budget(config: ExperimentConfig, rollouts: int) -> ExperimentConfig:
 
 def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     from pemviz.sampling.auto.method import AutoSampling  # noqa: PLC0415  slow to import
-    from pemviz.sampling.mixture.method import MixtureSampling  # noqa: PLC0415  as above
-    from pemviz.sampling.registry import by_name  # noqa: PLC0415  imports this module
+    from pemviz.sampling.mixture.build import mixture_of  # noqa: PLC0415  as above
     from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
 
-    mixture = by_name("mixture").build(config, back_end)
-    assert isinstance(mixture, MixtureSampling)  # noqa: S101  as it is registered
     budget = learning_budget(config).rollouts
     is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH
     return AutoSampling(
-        mixture=mixture,
+        mixture=mixture_of(config, back_end),
         first=max(int(PLAIN_SHARE * budget), 2),
         most_looked_at=LOOKED_AT * budget,
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
@@ -68,4 +65,5 @@ AUTO = MethodDescription(
     ),
     budget=learning_budget,
     with_budget=_with_budget,
+    goes_on=True,
 )

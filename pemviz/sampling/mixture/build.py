@@ -1,0 +1,32 @@
+"""Method ``mixture`` as a configuration has it, for those that use it too."""
+
+from pemviz.config import ExperimentConfig
+from pemviz.sampling.back_end import BackEnd
+from pemviz.sampling.mixture.fit import FitSettings
+from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.rollouts.large_stages import largest_part
+from pemviz.sampling.state.composed import proposal_features
+from pemviz.simulators.episodic import episodic
+from pemviz.simulators.latents import latent_counts
+
+CHAINS = 200
+"""Rollouts a level of chains, where they search."""
+
+
+def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
+    """The method on a back end."""
+    simulator = back_end.simulator
+    searches = bool(latent_counts(simulator)) and episodic(simulator) is None
+    chains = CHAINS if searches else 0
+    largest = largest_part(states=simulator.states)
+    return MixtureSampling(
+        learning_stages=config.stages,
+        rollouts=config.rollouts,
+        final_rollouts=config.final_rollouts,
+        seed=config.seed,
+        features=proposal_features(back_end.features),
+        settings=FitSettings(alpha=config.alpha, sigma=config.sigma),
+        largest_part=largest,
+        enough=max(1, largest // 2),
+        chains=chains if config.chains is None else config.chains,
+    )
