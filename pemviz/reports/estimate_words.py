@@ -128,6 +128,14 @@ def violations_text(estimate: Estimate) -> str:
     return f"{counted} ({estimate.rollouts_simulated} simulated in all)"
 
 
+def method_text(result: RunResult) -> str:
+    """The method, and what it came to where it chose one: 'auto, which chose monte-carlo'."""
+    method, estimate = result.config.method, result.estimate
+    if estimate is None or estimate.method == method:
+        return method
+    return f"{method}, which chose {estimate.method}"
+
+
 def missing_more_text(estimate: Estimate) -> str:
     """Why so many rollouts violate, where they were sampled from another distribution."""
     return ", drawn to miss more often," if rests_on_weights(estimate.method) else ""

@@ -132,7 +132,7 @@ def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
     what = f"any of {len(config.rules)} rules" if config.rules else config.spec
     counted = estimates.violations_text(estimate) + estimates.missing_more_text(estimate)
     yield (
-        f"{config.method}{repeated}: {counted} violate {what}; took "
+        f"{estimates.method_text(result)}{repeated}: {counted} violate {what}; took "
         f"{result.timings_s.get('total', math.nan):.1f} s"
     )
     yield from estimates.next_text(run_remedy(result))
@@ -417,7 +417,7 @@ def _question(result: RunResult) -> Section:
         ("specification", doc.Verbatim(config.spec)),
         ("scenario", scenario_text(config)),
         ("error model", doc.Verbatim(result.pem.name)),
-        ("method", f"{config.method}, back end {config.simulator}"),
+        ("method", f"{estimates.method_text(result)}, back end {config.simulator}"),
         ("budget", _budget_text(config)),
         ("rollouts are ranked by", ranked),
     ]
@@ -510,5 +510,7 @@ def _budget_text(config: ExperimentConfig) -> str:
             value = getattr(config, field.name)
             if field.name == "alpha" and value is None:
                 value = "chosen at each stage" if method.alpha is None else method.alpha
+            elif value is None:
+                value = "as the method has it"
             parts.append(f"{field.name} {value}")
     return ", ".join(parts + [f"{config.repetitions} repetitions"] * (config.repetitions > 1))

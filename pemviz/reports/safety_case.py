@@ -22,6 +22,7 @@ from pemviz.reports.run_document import run_document, scenario_text
 from pemviz.runs.reading import setting_differences
 from pemviz.runs.result import RunResult
 from pemviz.runs.uncertainty import SourceKind, run_interval_caveats, uncertainty_budget
+from pemviz.sampling.registry import by_name
 
 Verdict = Literal["shown", "not shown", "not known"]
 MARKS: Mapping[Verdict, doc.Mark] = {"shown": "yes", "not shown": "no", "not known": "open"}
@@ -240,6 +241,21 @@ def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...
     return (Table(tuple(columns), tuple(rows)),)
 
 
+def _sampling_step(result: RunResult) -> str:
+    """How rollouts lead to the probability; as the method that gave the answer has it."""
+    method = result.config.method if result.estimate is None else result.estimate.method
+    if by_name(method).interval_basis == "counts":
+        return (
+            f"Method {method} samples rollouts from the error model itself and counts those that "
+            "violate; the interval is the exact binomial one: E1."
+        )
+    return (
+        f"Violations are far too rare to wait for: method {method} draws rollouts in which "
+        "they are common and weights each by how much likelier it is under the error model. "
+        "Whether the weights can be trusted: E1."
+    )
+
+
 def _argument(result: RunResult) -> tuple[str, ...]:
     """Why the evidence carries the claim, step by step."""
     config, data = result.config, result.pem.data
@@ -252,9 +268,7 @@ def _argument(result: RunResult) -> tuple[str, ...]:
         "deterministic in it (assumptions below).",
         f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
         f"what it looks at, learnt from {data}. How far that may be wrong: E2, E5.",
-        f"Violations are far too rare to wait for: method {config.method} draws rollouts in which "
-        "they are common and weights each by how much likelier it is under the error model. "
-        "Whether the weights can be trusted: E1.",
+        _sampling_step(result),
         "So the failure probability follows, if the error model is right (E1); how far it is open "
         "if it is not, source by source: E2. What causes violations, so that experts can judge "
         "whether the chains are plausible: E4.",

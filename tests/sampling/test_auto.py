@@ -7,6 +7,8 @@ import pytest
 from scipy import stats
 
 from pemviz.config import ExperimentConfig
+from pemviz.reports.safety_case import _sampling_step
+from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.estimates.diagnostics import plain_disagreement
@@ -111,3 +113,10 @@ def test_a_closed_form_on_either_side_of_the_choice():
         result = run(build_experiment(config, simulator=simulator, pem=ConstantPem(miss)))
         assert result.estimate.method == method
         assert result.estimate.probability == pytest.approx(exact, rel=0.4)
+
+
+@pytest.mark.parametrize(("system", "chosen"), [(OFTEN, "monte-carlo"), (RARE, "mixture")])
+def test_what_was_chosen_is_told(system, chosen):
+    result = run(experiment(*system, seed=2))
+    assert f"auto, which chose {chosen}:" in summary_text(result)
+    assert f"method {chosen} " in _sampling_step(result).lower()
