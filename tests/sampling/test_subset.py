@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pemviz.config import ExperimentConfig
 from pemviz.faults import StopRequested
 from pemviz.latents import LatentCounts
+from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.sampling.subset.moves import Shape, Tuning, moved, spreads
 from pemviz.sampling.subset.run import SubsetSimulation
+from pemviz.types import StateBatch
+from tests.latent_toys import DISTANCE
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion, toy_problem_of
 from tests.sampling.test_batches import at_once
-from tests.toy import stepped_through, subset_runs
+from tests.toy import ConstantPem, stepped_through, subset_runs
 
 SHAPE = Shape(outcomes=12, start=3, steps=6, noise=2)
 
@@ -214,3 +218,52 @@ def test_seeds_of_a_simulator_s_own_generator_change_too():
     error = found.std(ddof=1) / math.sqrt(found.size)
     assert error < 0.15 * exact
     assert abs(found.mean() - exact) < 4.0 * error
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The distance is 1 m, or far below 0 where a standard normal is above a limit."""
+
+    limit: float
+    states: int = 2
+    name: str = "jump"
+    dt_s: float = 0.1
+
+    @property
+    def latents(self):
+        return LatentCounts(start=1)
+
+    @property
+    def signals(self):
+        return (DISTANCE,)
+
+    def initial(self, *, count, start=None):
+        normal = np.zeros(count) if start is None else start[:, 0]
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64),
+            signals={"distance": np.where(normal > self.limit, -normal, 1.0)},
+        )
+
+    def step(self, states, detected, noise=None):
+        return StateBatch(step=states.step + 1, signals=dict(states.signals))
+
+    def salient(self, signals):
+        return signals["distance"][..., None]
+
+
+def test_no_level_lies_below_what_violates():
+    """With one violation at hand, or two, a level at theirs would leave half out, or a third. |z| < 4."""
+    jump = Jump(1.7)
+    config = ExperimentConfig(method="subset", spec="always[0,1] (distance >= 0)")
+    problem = build_experiment(config, simulator=jump, pem=ConstantPem(0.5)).problem
+    found: list[float] = []
+    for pilot in range(100):
+        prepared, _ = SubsetSimulation().prepare(
+            problem, count=30, generator=np.random.default_rng(pilot)
+        )
+        generators = [np.random.default_rng([pilot, number]) for number in range(6)]
+        runs = prepared.carry_out(problem, count=30, generators=generators)
+        found.append(float(np.mean(np.exp([run.log_probability for run in runs]))))
+    error = np.std(found, ddof=1) / math.sqrt(len(found))
+    assert error < 0.1 * stats.norm.sf(1.7)
+    assert abs(np.mean(found) - stats.norm.sf(1.7)) < 4.0 * error

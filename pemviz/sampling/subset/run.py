@@ -45,6 +45,8 @@ from pemviz.types import RolloutBatch
 
 KEPT_SHARE = 0.1
 """Of the rollouts, at or below each level (Au and Beck 2001)."""
+JUST_BELOW = float(np.nextafter(VIOLATION_THRESHOLD, -1.0))
+"""No level is lower: what violates would lie above it."""
 MOST_LEVELS = 1_000
 
 
@@ -232,7 +234,7 @@ def _finding(
         starts = population.take(np.flatnonzero(below))
         simulated += count - starts.score.size
         level = Level(
-            threshold=float(starts.score.max()),
+            threshold=max(float(starts.score.max()), JUST_BELOW),
             share=starts.score.size / count,
             tuning=tuning.at_next_level(),
             spread=spreads(starts.numbers, shape),
