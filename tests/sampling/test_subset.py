@@ -252,7 +252,7 @@ class Jump:
 
 
 def test_no_level_lies_below_what_violates():
-    """With one violation at hand, or two, a level at theirs would leave half out, or a third. |z| < 4."""
+    """A level at those of one or two violations would leave half out, or a third. |z| < 4."""
     jump = Jump(1.7)
     config = ExperimentConfig(method="subset", spec="always[0,1] (distance >= 0)")
     problem = build_experiment(config, simulator=jump, pem=ConstantPem(0.5)).problem
