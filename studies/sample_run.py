@@ -32,7 +32,7 @@ def sample_config() -> ExperimentConfig:
         stages=5,
         rollouts=26,
         final_rollouts=18,
-        seed=7,
+        seed=15,
         spec="always[0,69] (gap >= 2.0)",
         scenario=replace(paper.scenario, states=70),
     )

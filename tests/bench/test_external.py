@@ -144,7 +144,7 @@ def test_what_a_row_counts():
 def test_a_small_study_is_gone_on_with(tmp_path, capsys):
     """Two seeds, then a third: what is there is not run again, what is torn is."""
     words = ["external", "--problems", "RP22", "walk beside a pattern, 0.42 of it", "--processes"]
-    words += ["1", "--budget", "240", "--settings", "stages=5", "--out", str(tmp_path)]
+    words += ["1", "--budget", "240", "--settings", "stages=5", "chains=0", "--out", str(tmp_path)]
     other = tmp_path / "others.jsonl"
     add_run(other, run(4e-3, problem="RP22", method="OpenTURNS: x", budget="240"))
     assert main([*words, "--seeds", "2"]) == 0

@@ -137,7 +137,7 @@ def test_large_files_are_left_to_another_look(folder, tmp_path):
 OTHER = {
     str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
     "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
-    "keep": "violations", "carla": "x",
+    "keep": "violations", "carla": "x", "chains": 77, "max_rollouts": 777,
 }  # fmt: skip
 
 

@@ -32,7 +32,7 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.(target|alpha)|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
+    r"message|config\.(target|alpha|chains|max_rollouts)|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
     r"|memory\.fitted\.frailty(_low|_high)?"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"
@@ -245,8 +245,12 @@ def test_what_a_run_always_writes_may_not_be_absent(sample):
     ("path", "value", "words"),
     [
         ("status", "going", "status = 'going': must be one of done, stopped, failed"),
-        ("seed", 6, "seed = 6: must be that of config, 7"),
-        ("config.method", "best", "config.method = 'best': no such method; there are: adaptive,"),
+        ("seed", 6, "seed = 6: must be that of config, 15"),
+        (
+            "config.method",
+            "best",
+            "config.method = 'best': no such method; there are: auto, adaptive,",
+        ),
         ("config.seed", -1, "config.seed = -1: must be a whole number, at least 0"),
         ("config.device", "cuda", "device"),
         ("config.scenario.dt_s", 0, "config.scenario.dt_s = 0: must be a number, at least 0.001"),

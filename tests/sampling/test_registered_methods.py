@@ -116,7 +116,7 @@ def test_registered_methods_are_listed_after_the_shipped_ones():
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("coim", "method = 'coim': no such method; did you mean coin? There are: adaptive, "),
+        ("coim", "method = 'coim': no such method; did you mean coin? There are: auto, adaptive, "),
         ("adaptiv", "did you mean adaptive?"),
         ("", "method = ''"),
         ("failing", "building it raises ValueError: no licence for vectorized"),

@@ -6,11 +6,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
-from pemviz.sampling.description import MethodDescription, learning_budget, with_learning_budget
+from pemviz.sampling.description import (
+    MethodDescription,
+    counted,
+    learning_budget,
+    with_learning_budget,
+)
 
 if TYPE_CHECKING:
     from pemviz.sampling.auto.method import AutoSampling
     from pemviz.sampling.back_end import BackEnd
+    from pemviz.sampling.kept import KeptRepetition, Recounted
 
 PLAIN_SHARE = 0.2
 """Plain rollouts of the first stage, beside those that proposals begin with."""
@@ -45,10 +51,20 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     )
 
 
+def _recounted(kept: KeptRepetition) -> Recounted:
+    """As the method that was chosen has it: proposals keep what each violation came from."""
+    from pemviz.sampling.mixture import estimate  # noqa: PLC0415  slow to import
+
+    if kept.column(estimate.COMPONENT) is None:
+        return counted(replace(kept, method="monte-carlo"))
+    return estimate.recounted(replace(kept, method="mixture"))
+
+
 AUTO = MethodDescription(
     name="auto",
     summary="plain rollouts for as long as they pay, then mixture until the answer is precise",
     build=_build,
+    recount=_recounted,
     remedy="a larger --max-rollouts; --method subset or zero-variance beside it",
     remedy_with_latents="a larger --max-rollouts; --method subset beside it",
     settings=frozenset(

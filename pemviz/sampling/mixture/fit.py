@@ -352,7 +352,7 @@ def fitted(
     outcomes, group = _outcomes(pool, weight)
     if start is None:
         known = pool.proposals
-        start = known[-1].coefficients
+        start = known[-1].coefficients if known else np.zeros(len(basis.exponents))
     plain = _ridge(basis, settings, varied=pool.varied)
     of_state = np.array([len(chosen) > 0 for chosen in basis.exponents])
     tried: list[tuple[float, LogisticFit, FloatArray]] = []

@@ -232,10 +232,11 @@ class MixtureSampling:
         if state.pool is None:
             message = "nothing has been sampled yet"
             raise ValueError(message)
-        return self._estimate(state, state.pool, final=slice(-self.rollouts, None))
+        newest = slice(max(state.pool.sampled - self.rollouts, 0), None)
+        return self._estimate(state, state.pool, final=newest)
 
     def _estimate(self, state: MixtureState, pool: Pool, *, final: slice) -> Estimate:
-        final, judged = slice(*final.indices(pool.sampled)), pool.judged
+        judged = pool.judged
         found = mixture_estimate(
             method=self.name,
             log_weight=judged.log_weight,
