@@ -5,6 +5,7 @@ from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.mixture.fit import FitSettings
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.rollouts.large_stages import largest_part
+from pemviz.sampling.slots import unrolled
 from pemviz.sampling.state.composed import proposal_features
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import latent_counts
@@ -16,7 +17,9 @@ CHAINS = 200
 def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     """The method on a back end."""
     simulator = back_end.simulator
-    searches = bool(latent_counts(simulator)) and episodic(simulator) is None
+    # with slots, or one rollout at a time, the chains' few rollouts take as long as many
+    one_by_one = episodic(simulator) is not None or unrolled(simulator) is not None
+    searches = bool(latent_counts(simulator)) and not one_by_one
     chains = CHAINS if searches else 0
     largest = largest_part(states=simulator.states)
     return MixtureSampling(
