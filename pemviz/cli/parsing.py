@@ -17,6 +17,8 @@ Processes = Annotated[int, Range(low=1, high=1024)]
 
 FRAME = re.compile("[\u2500-\u257f]+")
 COLOUR = re.compile("\x1b\\[[0-9;]*m")
+PERCENT = re.compile(r"^(?P<number>\d+(\.\d+)?)%$")
+"""A word that is a percentage stands for its share: 10% for 0.1."""
 
 
 def parse_arguments(
@@ -47,7 +49,7 @@ def parse_arguments(
             return tyro.cli(
                 kind,
                 prog=f"{program} {command}",
-                args=list(words),
+                args=[PERCENT.sub(_share, word) for word in words],
                 description=description,
                 config=(tyro.conf.FlagCreatePairsOff,),
                 default=tyro.MISSING_NONPROP if default is None else default,
@@ -57,6 +59,10 @@ def parse_arguments(
             raise HelpShown(EXIT_DONE) from None
         text = one_line(complaint.getvalue(), command=f"{program} {command}")
         raise InputError(text) from None
+
+
+def _share(percent: re.Match[str]) -> str:
+    return repr(float(percent["number"]) / 100.0)
 
 
 def one_line(complaint: str, *, command: str) -> str:

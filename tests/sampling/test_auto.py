@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 from scipy import stats
 
+from pemviz.cli.parsing import parse_arguments
 from pemviz.config import ExperimentConfig
+from pemviz.errors import ConfigError
 from pemviz.reports.safety_case import _sampling_step
 from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run
@@ -120,3 +122,13 @@ def test_what_was_chosen_is_told(system, chosen):
     result = run(experiment(*system, seed=2))
     assert f"auto, which chose {chosen}:" in summary_text(result)
     assert f"method {chosen} " in _sampling_step(result).lower()
+
+
+def test_fewer_at_most_than_it_begins_with_are_refused():
+    with pytest.raises(ConfigError, match=r"^max_rollouts = 100: must be at least the 1200 that"):
+        experiment(*RARE, max_rollouts=100)
+
+
+def test_a_percentage_is_a_share():
+    config = parse_arguments(ExperimentConfig, ["--precision", "7.5%"], command="record")
+    assert config.precision == 0.075

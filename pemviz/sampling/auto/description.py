@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pemviz.config import ExperimentConfig
+from pemviz.errors import ConfigError
 from pemviz.sampling.description import (
     MethodDescription,
     counted,
@@ -40,13 +41,20 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
 
     budget = learning_budget(config).rollouts
+    most = MOST_TIMES * budget if config.max_rollouts is None else config.max_rollouts
+    if most < budget:
+        message = (
+            f"max_rollouts = {most}: must be at least the {budget} that stages, rollouts and "
+            "final_rollouts come to"
+        )
+        raise ConfigError(message)
     is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH
     return AutoSampling(
         mixture=mixture_of(config, back_end),
         first=max(int(PLAIN_SHARE * budget), 2),
         most_looked_at=LOOKED_AT * budget,
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
-        most=MOST_TIMES * budget if config.max_rollouts is None else config.max_rollouts,
+        most=most,
         precision=config.precision,
     )
 
