@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.mixture.balance_heuristic import PLAIN
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.mixture.stages import sampled_plainly
-from pemviz.sampling.problem import Problem
+from pemviz.sampling.mixture.plain import PlainRollouts
+from pemviz.sampling.mixture.stages import watching
+from pemviz.sampling.problem import Problem, sample
 from pemviz.types import Signal, StateBatch
 from tests.toy import ConstantPem, carried_out, stepped_through
 
@@ -127,7 +129,10 @@ def test_plain_rollouts_from_before_count():
     method = MixtureSampling(learning_stages=2, rollouts=60, final_rollouts=60, seed=4)
     found = []
     for number in range(20):
-        plain = sampled_plainly(problem, 2_000, seeds=np.random.SeedSequence(number))
+        seeds = np.random.SeedSequence(number)
+        scored = sample(watching(problem), proposal=PemProposal(), count=2_000, seeds=seeds)
+        row = np.flatnonzero(scored.violated)
+        plain = PlainRollouts(2_000, row, scored.take(row))
         state = method.init(problem, repetition=number, plain=plain)
         state, _ = stepped_through(method, problem, state)
         found.append(method.estimate(state))

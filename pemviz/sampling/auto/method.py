@@ -19,7 +19,7 @@ every machine.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -104,7 +104,7 @@ class AutoSampling:
     most_plain: int
     most: int
     precision: float
-    name: str = field(default="auto")
+    name: str = "auto"
 
     @property
     def stages(self) -> int:

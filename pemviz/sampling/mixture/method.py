@@ -159,7 +159,7 @@ class MixtureSampling:
             explores=self._explores(advanced.stage),
             for_final=self._is_last(advanced),
         )
-        advanced = self._with_explored(replace(advanced, plain=plain), fits, basis, steps=steps)
+        advanced = self._with_explored(replace(advanced, plain=plain), fits, basis)
         return advanced, replace(
             result,
             kind="pretrain" if state.stage == 0 else "learn",
@@ -179,7 +179,7 @@ class MixtureSampling:
         )
 
     def _with_explored(
-        self, state: MixtureState, fits: tuple[Fit, ...], basis: PolynomialBasis, *, steps: int
+        self, state: MixtureState, fits: tuple[Fit, ...], basis: PolynomialBasis
     ) -> MixtureState:
         """With what the next stage samples from: fitted to the pool, and to what chains found."""
         explored, pool = state.explored, state.pool
@@ -187,16 +187,16 @@ class MixtureSampling:
             return replace(state, fits=fits)
         own = state.explored_fits
         if state.stage == 1:
-            terms = self._terms(state, basis, steps)
+            terms = self._terms(state, basis)
             own = explored_fits(explored, terms=terms, basis=basis, settings=self.settings)
         fits = with_explored(fits, own, rollouts=pool.count)
         return replace(state, fits=fits, explored_fits=own)
 
-    def _terms(self, state: MixtureState, basis: PolynomialBasis, steps: int) -> Terms:
+    def _terms(self, state: MixtureState, basis: PolynomialBasis) -> Terms:
         return Terms(
             features=state.features,
             basis=basis,
-            defensive=stages.defence(steps),
+            defensive=stages.defence(state.steps),
             turns=state.turns,
             starts=state.starts,
             rules=state.rules,
@@ -250,7 +250,7 @@ class MixtureSampling:
         wrong = () if state.absorbing else (not_absorbing(),)
         disagree = disagreements(pool, final=final)
         if state.explored is not None and state.basis is not None:
-            terms = self._terms(state, state.basis, state.steps)
+            terms = self._terms(state, state.basis)
             disagree = (*disagree, *against_chains(state.explored, pool, found, terms=terms))
             simulated = found.rollouts_simulated + state.explored.simulated
             found = replace(found, rollouts_simulated=simulated)
@@ -350,7 +350,7 @@ class MixtureSampling:
     ) -> Pool:
         """The pool with the stage's rollouts."""
         new, last = () if state.frozen else state.fits, self._is_last(state)
-        terms = self._terms(state, basis, sampled.scored.rollouts.detected.shape[1])
+        terms = self._terms(state, basis)
         pool = state.pool
         if pool is None and state.before is not None:
             pool = with_plain(state.before, terms)

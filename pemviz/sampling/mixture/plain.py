@@ -40,8 +40,7 @@ MOST = 0.9
 class PlainRollouts:
     """Rollouts that were sampled from the error model before a run of the method.
 
-    Their states remember what is broken, as :func:`pemviz.sampling.mixture.stages.sampled_plainly`
-    has it.
+    Their states remember what is broken, as :func:`pemviz.sampling.mixture.stages.watching` has it.
 
     Attributes:
         count: How many.

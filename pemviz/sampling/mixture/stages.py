@@ -33,13 +33,12 @@ from pemviz.proposals.exploration import (
     LatentExploration,
     LatentFamily,
 )
-from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_moves import LatentMeans, StartMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
-from pemviz.sampling.problem import FinishedStage, Problem, sample, sample_batches
+from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
@@ -306,24 +305,6 @@ def sampled(
     problem = watching(problem)
     proposal = _divided(problem, state, component, np.random.default_rng(seeds.spawn(1)[0]))
     return sample(problem, proposal=proposal, count=component.size, seeds=seeds)
-
-
-def sampled_plainly(
-    problem: Problem, count: int, *, seeds: np.random.SeedSequence
-) -> PlainRollouts:
-    """Rollouts from the error model, which can join a run's first stage.
-
-    Raises:
-        SimulationError: A batch has something that is no finite number, or takes too long.
-    """
-    first, row, violating = 0, list[IntArray](), list[ScoredRollouts]()
-    model = PemProposal()
-    for batch in sample_batches(watching(problem), proposal=model, count=count, seeds=seeds):
-        own = np.flatnonzero(batch.violated).astype(np.int64)
-        row.append(first + own)
-        violating.append(batch.take(own))
-        first += batch.rollouts.count
-    return PlainRollouts(count, np.concatenate(row), ScoredRollouts.concatenate(violating))
 
 
 def _divided(

@@ -4,9 +4,9 @@ Methods that cut and replace particles level by level, ``splitting`` and ``subse
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from pemviz.arrays import FloatArray, IntArray
 from pemviz.faults import SimulationError
 from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.types import ScoredRollouts
+
+Wanted = TypeVar("Wanted")
+Given = TypeVar("Given")
+Ended = TypeVar("Ended")
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,34 @@ class ParticleRun(RunFigures):
     scored: ScoredRollouts
     rule_ancestry: Mapping[str, float] = field(default_factory=dict[str, float])
 
+    @staticmethod
+    def ended(
+        scored: ScoredRollouts, *, ancestor: IntArray, shares: Sequence[float], simulated: int
+    ) -> "ParticleRun":
+        """A run whose N particles are ``scored`` at the end.
+
+        Args:
+            scored: They.
+            ancestor: Which of the particles at the start each descends from, ``[N]``.
+            shares: Of the particles that came below each level.
+            simulated: Rollouts begun or continued.
+        """
+        count = scored.rollouts.count
+        shares = [*shares, float(scored.violated.mean())]
+        return ParticleRun(
+            log_probability=log_product(shares),
+            least_variance=sum((1.0 - share) / share for share in shares if share > 0.0) / count,
+            common_ancestry=common_ancestry(ancestor[scored.violated]),
+            simulated=simulated,
+            levels=len(shares) - 1,
+            count=count,
+            log_p=log_p_of(scored.rollouts, scored.violated),
+            scored=scored,
+            rule_ancestry={
+                name: common_ancestry(ancestor[broken]) for name, broken in scored.broken.items()
+            },
+        )
+
     def under_rule(self, rule: str) -> "ParticleRun":
         """The same particles, of which those that break one rule violate."""
         broken = self.scored.broken[rule]
@@ -68,6 +100,26 @@ class ParticleRun(RunFigures):
             log_p=log_p_of(self.scored.rollouts, broken),
             scored=replace(self.scored, violated=broken),
         )
+
+
+def in_step(
+    going: Sequence[Generator[Wanted, Given, Ended]],
+    answer: Callable[[Mapping[int, Wanted]], Sequence[Given]],
+) -> Sequence[Ended]:
+    """What comes of runs that go on together, each as a generator of what it wants next.
+
+    ``answer`` gets what those want that have not ended, by their number, and gives it in order.
+    """
+    wanted = {index: next(one) for index, one in enumerate(going)}
+    ended: dict[int, Ended] = {}
+    while wanted:
+        for index, given in zip(list(wanted), answer(wanted), strict=True):
+            try:
+                wanted[index] = going[index].send(given)
+            except StopIteration as end:
+                del wanted[index]
+                ended[index] = end.value
+    return [ended[index] for index in range(len(going))]
 
 
 def copies(of: int, count: int, generator: np.random.Generator) -> IntArray:

@@ -14,7 +14,6 @@ from scipy.special import log_expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct_rows
-from pemviz.faults import of_no_rollouts
 from pemviz.sampling.problem import Problem, ranked
 from pemviz.sampling.state.composed import dynamics_of
 from pemviz.simulators.latents import stepped
@@ -125,23 +124,6 @@ def importance(
         chosen = order[start : start + block]
         result[chosen] = _of_block(problem, rollouts, row[chosen], step[chosen])
     return result
-
-
-def lowest_importance(problem: Problem, rollouts: RolloutBatch) -> FloatArray:
-    """The lowest that the importance function is at any state of whole rollouts, ``[N]``."""
-    count, states = rollouts.count, rollouts.detected.shape[1] + 1
-    with of_no_rollouts():  # what might have been
-        to_evaluate = evaluated_at(
-            problem,
-            rollouts,
-            cut=np.zeros(count, dtype=np.int64),
-            evaluations=np.zeros((count, states), dtype=EVALUATION_COUNT, order="F"),
-        )
-        step, row = np.nonzero(to_evaluate.T)
-        found = importance(problem, rollouts, row=row, step=step)
-    lowest = importance_at_end(ranked(problem, rollouts.signals))
-    np.minimum.at(lowest, row, found)
-    return lowest
 
 
 def importance_at_end(robustness: FloatArray) -> FloatArray:

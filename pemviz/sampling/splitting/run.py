@@ -13,7 +13,7 @@ compared with levels is the importance function of :mod:`pemviz.sampling.splitti
 """
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Self
@@ -24,13 +24,12 @@ from pemviz.faults import SimulationError
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.particles.runs import (
     ParticleRun,
-    common_ancestry,
     copies,
+    in_step,
     log_product,
     tell_run,
 )
 from pemviz.sampling.problem import Problem, in_time, score
-from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.splitting.particles import (
     Continuation,
     Particles,
@@ -90,27 +89,20 @@ def split(
         done[run] = so_far
         problem.progress(sum(done) // len(done), count)
 
-    going = {
-        index: _levels(problem, count=count, generator=generator, report=partial(report, index))
-        for index, generator in enumerate(generators)
-    }
-    wanted = {index: next(levels) for index, levels in going.items()}
-    runs: dict[int, ParticleRun] = {}
-    while wanted:
+    def answer(wanted: Mapping[int, Continuation]) -> Sequence[Particles]:
         try:
-            found = in_time(problem, partial(continued, problem, list(wanted.values())))
+            return in_time(problem, partial(continued, problem, list(wanted.values())))
         except SimulationError as error:
             sizes = {index: each.cut.size for index, each in wanted.items()}
             # those that are kept come first
             tell_run(error, {index: (count - size, size) for index, size in sizes.items()})
             raise
-        for index, particles in zip(list(wanted), found, strict=True):
-            try:
-                wanted[index] = going[index].send(particles)
-            except StopIteration as end:
-                del wanted[index]
-                runs[index] = end.value
-    return [runs[index] for index in going]
+
+    going = [
+        _levels(problem, count=count, generator=generator, report=partial(report, index))
+        for index, generator in enumerate(generators)
+    ]
+    return in_step(going, answer)
 
 
 def _levels(
@@ -142,20 +134,8 @@ def _levels(
         particles = Particles.concatenate([particles.take(np.flatnonzero(~killed)), new])
     report(count)
     scored = score(problem, particles.with_proposal)
-    shares.append(float(scored.violated.mean()))
-    return ParticleRun(
-        log_probability=log_product(shares),
-        least_variance=sum((1.0 - share) / share for share in shares if share > 0.0) / count,
-        common_ancestry=common_ancestry(particles.ancestor[scored.violated]),
-        simulated=simulated,
-        levels=len(shares) - 1,
-        count=count,
-        log_p=log_p_of(scored.rollouts, scored.violated),
-        scored=scored,
-        rule_ancestry={
-            name: common_ancestry(particles.ancestor[broken])
-            for name, broken in scored.broken.items()
-        },
+    return ParticleRun.ended(
+        scored, ancestor=particles.ancestor, shares=shares, simulated=simulated
     )
 
 

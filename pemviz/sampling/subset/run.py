@@ -17,7 +17,7 @@ rollout of the run and keeps the model restricted to the level.
 """
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypeVar
 
@@ -31,13 +31,11 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.particles.runs import (
     ParticleRun,
-    common_ancestry,
     copies,
-    log_product,
+    in_step,
     tell_run,
 )
 from pemviz.sampling.problem import Problem, in_time, ranked, score
-from pemviz.sampling.rollouts.large_stages import log_p_of
 from pemviz.sampling.rollouts.runners import BatchTask, check_numbers
 from pemviz.sampling.subset.moves import RandomNumbers, Shape, Tuning, moved, spreads
 from pemviz.simulators.latents import latent_counts
@@ -161,10 +159,10 @@ def _in_step(
     problem: Problem, going: Sequence[Going[Found]], report: Callable[[int], None]
 ) -> Sequence[Found]:
     """What comes of each, simulated together; ``report`` gets how many rollouts were so far."""
-    wanted = {index: next(one) for index, one in enumerate(going)}
-    ended: dict[int, Found] = {}
     simulated = 0
-    while wanted:
+
+    def answer(wanted: Mapping[int, Wanted]) -> Sequence[Simulated]:
+        nonlocal simulated
         numbers = RandomNumbers.concatenate([each.numbers for each in wanted.values()])
         try:
             rollouts, scores = _simulated(problem, numbers)
@@ -174,16 +172,11 @@ def _in_step(
             raise
         simulated += numbers.count
         report(simulated)
-        first = 0
-        for index, each in list(wanted.items()):
-            rows = slice(first, first + each.numbers.count)
-            first = rows.stop
-            try:
-                wanted[index] = going[index].send((rollouts.take(rows), scores[rows]))
-            except StopIteration as end:
-                del wanted[index]
-                ended[index] = end.value
-    return [ended[index] for index in range(len(going))]
+        ends = np.cumsum([each.numbers.count for each in wanted.values()])[:-1]
+        rows = np.split(np.arange(numbers.count), ends)
+        return [(rollouts.take(own), scores[own]) for own in rows]
+
+    return in_step(going, answer)
 
 
 def _simulated(problem: Problem, numbers: RandomNumbers) -> Simulated:
@@ -280,20 +273,8 @@ def _run(
             starts, level, count=count, shape=shape, generator=generator
         )
     scored = score(problem, population.rollouts)
-    shares.append(float(scored.violated.mean()))
-    return ParticleRun(
-        log_probability=log_product(shares),
-        least_variance=sum((1.0 - share) / share for share in shares if share > 0.0) / count,
-        common_ancestry=common_ancestry(population.ancestor[scored.violated]),
-        simulated=simulated,
-        levels=len(shares) - 1,
-        count=count,
-        log_p=log_p_of(scored.rollouts, scored.violated),
-        scored=scored,
-        rule_ancestry={
-            name: common_ancestry(population.ancestor[broken])
-            for name, broken in scored.broken.items()
-        },
+    return ParticleRun.ended(
+        scored, ancestor=population.ancestor, shares=shares, simulated=simulated
     )
 
 
