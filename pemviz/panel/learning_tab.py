@@ -14,7 +14,6 @@ from pemviz.panel.run_data import RunData
 from pemviz.runs.result import StageSummary
 from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
-from pemviz.sampling.registry import by_name
 
 HEIGHT = 220
 OLDER = ("#E8894A", "#EDA878", "#F0BE9B", "#F3D0B7", "#F6DFCF")
@@ -35,11 +34,11 @@ def learning(run: RunData | None) -> str:
 
 def learning_words(run: RunData | None) -> str:
     """What there is to see, in a few sentences."""
-    return "" if run is None else page(wide(quiet(by_name(run.config.method).learning_words)))
+    return "" if run is None else page(wide(quiet(run.method.learning_words)))
 
 
 def _learning(run: RunData) -> str:
-    method, every = by_name(run.config.method), run.result.stages
+    method, every = run.method, run.result.stages
     last = max((stage.repetition for stage in every), default=0)
     stages = [stage for stage in every if stage.repetition == last]
     several = len(stages) > 1 and method.stages != "parts"
@@ -57,7 +56,7 @@ def proposal_curves(run: RunData | None) -> Curves | None:
     """The newest proposal, some of those before it, and the error model."""
     if run is None or not run.gap_m.size:
         return None
-    method = by_name(run.config.method)
+    method = run.method
     newest_first = [] if method.follows_model else list(reversed(run.final_curves))
     lines: list[Line] = []
     most = 1 if run.running else 1 + len(OLDER)
@@ -144,7 +143,7 @@ def _dots(plot: Plot, points: Sequence[tuple[int, float]], *, color: str) -> Non
 def _estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
     """Estimates of stages, the answer with its interval, and the reference, on a log axis."""
     estimate, reference = run.result.estimate, run.result.reference
-    method = by_name(run.config.method)
+    method = run.method
     each, several = method.stage_name, bool(stages) and method.stage_interval != "none"
     points: list[tuple[float, float]] = []
     if several:

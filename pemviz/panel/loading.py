@@ -24,7 +24,6 @@ from pemviz.runs.back_ends import build_back_end
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result_file import RESULT_FILE
 from pemviz.runs.rollout_files import load_rollouts, stage_files
-from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
 from pemviz.types import Simulator
@@ -124,7 +123,7 @@ def _with_curves(run: RunData, table: Mapping[str, AnyArray], folder: Path) -> R
             pem_detection = _visited_curve(table, rows, "log_p", folder, gap_m=gap_m)
     curves, curves_from = _learned_curves(folder, config, gap_m=gap_m), None
     if not curves and table:
-        follows_model = by_name(config.method).follows_model
+        follows_model = run.method.follows_model
         curves, curves_from = _visited_curves(
             table, folder, follows_model=follows_model, gap_m=gap_m
         )

@@ -18,7 +18,6 @@ from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.method import elite_threshold
 from pemviz.sampling.method import elites as elites_of_stage
-from pemviz.sampling.registry import by_name
 from pemviz.types import Simulator
 
 Among = Literal["carrying", "all"]
@@ -46,7 +45,7 @@ def log_contributions(run: RunData) -> FloatArray:
     powers of ten: a run's estimate is shared by its violations.
     """
     log_weight = np.array(run.log_weight)
-    if by_name(run.config.method).has_likelihood_ratios:
+    if run.method.has_likelihood_ratios:
         return log_weight
     for stage in run.result.stages:
         if stage.log10_probability is not None and stage.failures:

@@ -18,6 +18,7 @@ from pemviz.panel.rollout_tables import checked_rows, latent_names
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import latents_of, log_weights
 from pemviz.runs.specification import named_signals
+from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
@@ -175,6 +176,12 @@ class RunData:
         """The result's."""
         return self.result.config
 
+    @property
+    def method(self) -> MethodDescription:
+        """What gave the answer: of one that chooses another, that, once it has chosen."""
+        method, estimate = by_name(self.config.method), self.result.estimate
+        return by_name(estimate.method) if method.goes_on and estimate is not None else method
+
     @cached_property
     def simulator(self) -> Simulator | SlotSimulator:
         """The scenario, in its own steps."""
@@ -265,7 +272,7 @@ class RunData:
     def _log_weight(self, report: Report) -> FloatArray:
         if not self.mapped:
             return log_weights(self.rollouts)
-        if by_name(self.config.method).follows_model:  # drawn from the error model itself
+        if self.method.follows_model:  # drawn from the error model itself
             return np.zeros(self.kept)
         names = {"log_p", "log_q", *latent_names(self.rollouts)}
         found = np.empty(self.kept)

@@ -27,7 +27,6 @@ from pemviz.reports.charts import RUN_COLORS
 from pemviz.reports.document import Block, Paragraph, Table, Verdict
 from pemviz.reports.html import blocks_html, clicks_to, heading
 from pemviz.runs.specification import build_formula
-from pemviz.sampling.registry import by_name
 from pemviz.simulators.latents import NamesStarts, within
 from pemviz.types import Simulator
 
@@ -81,7 +80,7 @@ def ranking_table(run: RunData, ranking: Ranking, *, selected: int, target: str)
         "of the answer", "log weight [nats]", "misses", "stage",
     )  # fmt: skip
     head = "".join(f"<th style='{_HEAD}'>{h}</th>" for h in header)
-    weighted = by_name(run.config.method).has_likelihood_ratios
+    weighted = run.method.has_likelihood_ratios
     lines: list[str] = []
     for place in range(start, end):
         entry = row(run, ranking, place)

@@ -17,7 +17,6 @@ from pemviz.panel.run_data import Report, RunData, Scan, ScanProgress, row_parts
 from pemviz.panel.trajectories_tab import TrajectoriesTab
 from pemviz.reports.charts import RUN_COLORS
 from pemviz.reports.html import clicks_to
-from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 MOST_POINTS = 1_000
@@ -72,7 +71,7 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
 
 def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     """The plot of weights over robustness, in two pieces between which the ring is put."""
-    if not by_name(run.config.method).has_likelihood_ratios:
+    if not run.method.has_likelihood_ratios:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here."), ""
     plot, index = _weight_axes(run)
     plot.vline(0.0, color=VERMILLION, label="0")
@@ -146,7 +145,7 @@ def _point(run: RunData, plot: Plot, index: int) -> str:
 
 
 def _ring(run: RunData, selected: int | None) -> str:
-    weighted = by_name(run.config.method).has_likelihood_ratios
+    weighted = run.method.has_likelihood_ratios
     if selected is None or selected >= run.kept or not weighted:
         return ""
     x, y = _at(run, _weight_axes(run)[0], selected)
@@ -212,7 +211,7 @@ def least_gaps(run: RunData) -> LeastGaps | None:
     gap_m = run.scans.value(*_nearest(run))[chosen]
     order = np.argsort(gap_m, kind="stable")
     log10 = np.empty(0)
-    if by_name(run.config.method).has_likelihood_ratios:
+    if run.method.has_likelihood_ratios:
         log_weight = run.log_weight[chosen][order]
         log10 = (np.logaddexp.accumulate(log_weight) - math.log(drawn)) / LN10
     return LeastGaps(gap_m[order], np.arange(1, order.size + 1) / drawn, log10)

@@ -246,6 +246,16 @@ def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
     assert "optimal proposal" in page("zero-variance")
 
 
+def test_a_method_that_chose_another_is_shown_as_that(naive_run):
+    config = replace(naive_run.config, method="auto")
+    for chosen, learns in (("monte-carlo", False), ("mixture", True)):
+        estimate = replace(naive_run.result.estimate, method=chosen)
+        run = with_result(naive_run, config=config, estimate=estimate)
+        assert ("older stages fade" in learning_tab.learning_words(run)) == learns
+        names = [line.name for line in learning_tab.proposal_curves(run).lines]
+        assert any("proposal after stage" in name for name in names) == learns
+
+
 def test_without_a_violation_the_upper_bound_is_drawn(naive_run):
     nothing = replace(
         naive_run.result.estimate, failures=0, probability=0.0, ci_low=0.0, ci_high=0.03
