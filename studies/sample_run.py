@@ -33,6 +33,8 @@ def sample_config() -> ExperimentConfig:
         rollouts=26,
         final_rollouts=18,
         seed=15,
+        memory_s=0.0,
+        frailty=0.0,
         spec="always[0,69] (gap >= 2.0)",
         scenario=replace(paper.scenario, states=70),
     )

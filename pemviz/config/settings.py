@@ -158,14 +158,19 @@ class ExperimentConfig:
     """Rules by name; each is answered, and any of them: ``spec`` then says that all are kept."""
     pem: str = "ml-nn"
     """Perception error model: a shipped name or a file."""
-    memory_s: Annotated[float, Range(low=0.0, high=60.0)] = 0.0
+    memory_s: Annotated[float, Range(low=0.0, high=60.0)] | None = None
     """Memory time of misses [s]: after a miss, or a hit, the same is likelier again, the less so
     the longer ago, by exp(-time / memory_s); how often the error model misses in all is as
-    without; 0 to 60. 0: misses are independent of each other given the state."""
-    frailty: Annotated[float, Range(low=0.0, high=5.0)] = 0.0
+    without; 0 to 60. 0: misses are independent of each other given the state. Left out, the error
+    model's own, and assumed_memory_s where it has none."""
+    assumed_memory_s: Annotated[float, Range(low=0.0, high=60.0)] = 0.0
+    """Memory time of misses [s] where memory_s is left out and the error model has none of its own;
+    0 to 60."""
+    frailty: Annotated[float, Range(low=0.0, high=5.0)] | None = None
     """How much obstacles differ in being missed beyond what the state says: each has a visibility
     of its own for as long as it is there, with this spread; how often the error model misses in
-    all is as without; 0 to 5. 0: all are equal."""
+    all is as without; 0 to 5. 0: all are equal. Left out, the error model's own, and 0 where it has
+    none, or with several slots."""
     position_errors: str | None = None
     """Errors of the lead car's measured distance, in encounters of the place of every car, which
     the ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit

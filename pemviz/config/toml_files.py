@@ -134,12 +134,15 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
     Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
-    an hour where there are none, and without ``keep`` where all is kept.
+    an hour where there are none, without a memory that is left out or not assumed, and without
+    ``keep`` where all is kept.
     """
     table = every_setting(config)
-    for name in ("position_errors", "carla", "encounters_per_hour"):
+    for name in ("position_errors", "carla", "encounters_per_hour", "memory_s", "frailty"):
         if table[name] is None:
             del table[name]
+    if config.assumed_memory_s == 0.0:
+        del table["assumed_memory_s"]
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if not config.is_encounter:

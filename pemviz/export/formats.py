@@ -92,7 +92,7 @@ def parquet_bytes(rollout: RankedRollout) -> bytes:
     from pyarrow import parquet  # noqa: PLC0415
 
     table = pa.table(columns(rollout))
-    config, pem = rollout.result.config, rollout.result.pem
+    config, pem, memory = rollout.result.config, rollout.result.pem, rollout.result.memory
     settings = {
         "simulator": config.simulator,
         "spec": config.spec,
@@ -101,8 +101,8 @@ def parquet_bytes(rollout: RankedRollout) -> bytes:
         "method": config.method,
         "pem": pem.name,
         "pem_digest": pem.digest,
-        "memory_s": config.memory_s,
-        "frailty": config.frailty,
+        "memory_s": None if memory is None else memory.tau_s,
+        "frailty": None if memory is None else memory.frailty,
         "seed": config.seed,
     }
     metadata = {METADATA: json.dumps(settings, ensure_ascii=False).encode("utf-8")}

@@ -52,9 +52,10 @@ OWN_ALPHA_HINT = (
 )
 ALPHA_AT_FIRST = 0.1
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
-FRAILTY_STEP = 0.05
-MEMORY_STEP_S = 0.01
+MOST_MEMORY_S = limits("memory_s", step=0.0)[1]
+MOST_FRAILTY = limits("frailty", step=0.0)[1]
 TARGET_WORDS = " Empty: none."
+LEFT_OUT_WORDS = " Empty: left out."
 WAITS = "Run waits until what is said below to be wrong is fixed."
 LIMIT_HINT = (
     "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
@@ -121,7 +122,7 @@ class ExperimentTab:
             "method": self.method, "metric": self.metric, "sigma": self.sigma,
             "stages": self.stages, "rollouts": self.rollouts,
             "final_rollouts": self.final_rollouts, "seed": self.seed, "pem": self.pem,
-            "simulator": self.simulator, "memory_s": self.memory, "frailty": self.frailty,
+            "simulator": self.simulator,
             "memory_curve": self.memory_curve, "reference": self.reference, "spec": self.spec,
         }  # fmt: skip
         """Controls by the field of a configuration whose value they hold as it is."""
@@ -138,8 +139,9 @@ class ExperimentTab:
         own = self.own_alpha.value if method.alpha is None else alpha == method.alpha
         settings = replace(
             self._base,
-            **{name: control.value for name, control in self._plain.items()}
-            | {"memory_s": float(self.memory.value), "frailty": float(self.frailty.value)},
+            **{name: control.value for name, control in self._plain.items()},
+            memory_s=read_number(self.memory.value, name="memory", most=MOST_MEMORY_S, zero=True),
+            frailty=read_number(self.frailty.value, name="frailty", most=MOST_FRAILTY, zero=True),
             alpha=None if own else alpha,
             target=read_number(self.target.value, name="target"),
             encounters_per_hour=read_number(
@@ -200,14 +202,8 @@ class ExperimentTab:
     def _add_specification(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
-        low_s, high_s = limits("memory_s", step=MEMORY_STEP_S)
-        self.memory = gui.add_number(
-            "Memory [s]", 0.0, min=low_s, max=high_s, step=MEMORY_STEP_S, hint=hint("memory_s")
-        )
-        low, high = limits("frailty", step=FRAILTY_STEP)
-        self.frailty = gui.add_number(
-            "Frailty", 0.0, min=low, max=high, step=FRAILTY_STEP, hint=hint("frailty")
-        )
+        self.memory = gui.add_text("Memory [s]", "", hint=hint("memory_s") + LEFT_OUT_WORDS)
+        self.frailty = gui.add_text("Frailty", "", hint=hint("frailty") + LEFT_OUT_WORDS)
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.perception = PerceptionControls(gui, browser.on(self._choose_parts))
         self.encounter = EncounterControls(gui, browser.on(self._check))
@@ -266,6 +262,7 @@ class ExperimentTab:
         self.rules.value = rules_text(config.rules)
         for text, number in (
             (self.target, config.target), (self.encounters, config.encounters_per_hour),
+            (self.memory, config.memory_s), (self.frailty, config.frailty),
         ):  # fmt: skip
             text.value = "" if number is None else f"{number:g}"
         self.encounter.fill(config)
@@ -308,13 +305,15 @@ class ExperimentTab:
     def _complaints(self) -> Iterator[str]:
         wrong = False
         yield from self._misunderstood()
-        for typed, name, most in (
-            (self.target, "target", 1.0),
-            (self.encounters, "encounters per hour", MOST_ENCOUNTERS),
-            (self.fail_above, "fail above", 1.0),
+        for typed, name, most, zero in (
+            (self.target, "target", 1.0, False),
+            (self.encounters, "encounters per hour", MOST_ENCOUNTERS, False),
+            (self.fail_above, "fail above", 1.0, False),
+            (self.memory, "memory", MOST_MEMORY_S, True),
+            (self.frailty, "frailty", MOST_FRAILTY, True),
         ):
             try:
-                read_number(typed.value, name=name, most=most)
+                read_number(typed.value, name=name, most=most, zero=zero)
             except InputError as error:
                 wrong = True
                 yield str(error)
@@ -354,11 +353,17 @@ class ExperimentTab:
         browser.look_at(None)
 
 
-def read_number(typed: str, *, name: str, most: float = 1.0) -> float | None:
+def read_number(typed: str, *, name: str, most: float = 1.0, zero: bool = False) -> float | None:
     """A number above 0, as a probability is, as it was typed; ``None`` for an empty field.
 
+    Args:
+        typed: What stands in the field.
+        name: Of the field, for messages.
+        most: The largest allowed.
+        zero: Whether 0 is allowed too.
+
     Raises:
-        InputError: It is no number above 0 and at most ``most``.
+        InputError: It is no number that is allowed.
     """
     if not typed.strip():
         return None
@@ -366,8 +371,8 @@ def read_number(typed: str, *, name: str, most: float = 1.0) -> float | None:
         value = float(typed)
     except ValueError:
         value = math.nan
-    if not 0.0 < value <= most:
-        allowed = f"above 0 and at most {most:g}"
+    if not (0.0 < value <= most or (zero and value == 0.0)):
+        allowed = f"{'0 or more' if zero else 'above 0'} and at most {most:g}"
         message = f"{name} = {typed.strip()[:40]!r}: must be {allowed}, or empty"
         raise InputError(message)
     return value

@@ -161,8 +161,9 @@ def _misses(run: RunData) -> list[str]:
             "hardly ever finds a violation; choose another method in the Experiment tab."
         )
         return [title + quiet(words)]
-    hanging = run.config.memory_s or run.config.frailty
-    given = ", given the outcomes before" if hanging else ""
+    memory = run.result.memory
+    alone = memory is None or memory.is_independent
+    given = "" if alone else ", given the outcomes before"
     note = (
         "Bars: share of steps missed in violations, weighted by how likely each is under the "
         f"error model. Black: what the error model itself says{given}."

@@ -197,18 +197,18 @@ def memory_text(memory: RunMemory | None) -> str:
         if memory is None or not memory.curve:
             assumed += ", and --memory-curve tells what it is worth"
     else:
-        parts = [f"memory time {memory.tau_s:g} s {IN_IT}"] if memory.tau_s else []
-        parts += [f"frailty {memory.frailty:g} ({FRAILTY_MEANS})"] if memory.frailty else []
+        parts = [f"memory time {memory.tau_s:.3g} s {IN_IT}"] if memory.tau_s else []
+        parts += [f"frailty {memory.frailty:.3g} ({FRAILTY_MEANS})"] if memory.frailty else []
         how = "hanging together by" if memory.hidden else "in bursts,"
         assumed = f"{how} {' and '.join([*parts, *memory.hidden])}"
     own = None if memory is None else memory.fitted
     if own is None:
         return assumed
     measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
-    if memory is None or memory.tau_s == 0.0:
-        measured += f" {IN_IT}"
     if own.frailty is not None:
-        measured += f", its frailty {own.frailty:.2g}"
+        measured += f", frailty {own.frailty:.2g}"
         if own.frailty_low is not None and own.frailty_high is not None:
             measured += f" ({own.frailty_low:.2g} to {own.frailty_high:.2g})"
-    return f"{assumed}; this model's own memory time, measured on video, is {measured}"
+    if memory is not None and memory.is_own:
+        return f"{assumed}: the error model's own, measured on video ({measured})"
+    return f"{assumed}; not the error model's own, which was measured on video: {measured}"

@@ -189,8 +189,12 @@ def with_choices(
     return replace(back_end, features=StepFeatures(features, turns) if turns > 1 else features)
 
 
-def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
+def check_method_fits(
+    config: ExperimentConfig, back_end: BackEnd, *, frailty: float | None = None
+) -> None:
     """Check that the back end has what the method needs.
+
+    ``frailty`` is that of the run; if it is not given, what ``config`` says.
 
     Raises:
         ConfigError: It has not; the line names methods that fit.
@@ -206,7 +210,7 @@ def check_method_fits(config: ExperimentConfig, back_end: BackEnd) -> None:
     counts = latent_counts(back_end.simulator)
     if counts and back_end.twin is None:
         lacking["twin"] = f"runs through all states, and simulator {name!r} has latents"
-    elif counts and config.frailty > 0.0:
+    elif counts and (config.frailty if frailty is None else frailty):
         lacking["twin"] = "takes a quantised start or frailty, not both"
     elif back_end.twin is None:
         lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"

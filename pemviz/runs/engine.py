@@ -307,12 +307,13 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
         alone = "" if len(slots) == 1 else "; errors of slots are independent given the state"
         names = ", ".join(slot.name for slot in slots)
         first = f"perception reports something or nothing, at every step, for {names}{alone}"
-    tau_s, frailty, hidden = config.memory_s, config.frailty, memory_of(experiment.pem).hidden
-    if not tau_s and not frailty and not hidden:
+    memory = memory_of(experiment.pem)
+    if memory.is_independent:
         return (first, INDEPENDENT, *others)
-    how = [f"with a memory time of {tau_s:g} s"] if tau_s else []
-    how += [f"by obstacles differing, frailty {frailty:g}, all rollout long"] if frailty else []
-    how += [f"by {label}" for label in hidden]
+    tau_s, frailty = memory.tau_s, memory.frailty
+    how = [f"with a memory time of {tau_s:.3g} s"] if tau_s else []
+    how += [f"by obstacles differing, frailty {frailty:.3g}, all rollout long"] if frailty else []
+    how += [f"by {label}" for label in memory.hidden]
     bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
     return (first, bursts, *others)
 

@@ -14,6 +14,7 @@ from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
 from pemviz.faults import exception_text, refusing, signals_distinguished
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
+from pemviz.pem.models.cards import memory_of
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import Refits
 from pemviz.proposals.offset_logistic import StateFeatures
@@ -146,14 +147,14 @@ def build_experiment(
     own = None if simulator is None else back_ends.own_back_end(simulator, twin=twin)
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
     back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
-    back_ends.check_method_fits(config, back_end)
     _check_hidden(config, back_end, hidden)
+    memory, left_out = _memory(config, named, back_end)
+    back_ends.check_method_fits(config, back_end, frailty=memory.frailty)
     ensemble = ensemble_of(config.pem) if pem is None else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
     simulator = back_end.simulator
-    warnings = (*latent_warnings(simulator), *_error_model_warnings(model, simulator))
+    warnings = (*latent_warnings(simulator), *_error_model_warnings(model, simulator), *left_out)
     others = () if back_end.is_own else model_classes_beside(model)
-    memory = Memory(tau_s=config.memory_s, frailty=config.frailty)
     properties = properties_of_memory(memory, simulator=simulator)
     back_end, model = composed(back_end, model, properties=(*properties, *hidden))
     if hidden:
@@ -188,6 +189,34 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
     return method
 
 
+def _memory(
+    config: ExperimentConfig, named: Pem | Mapping[str, Pem], back_end: BackEnd
+) -> tuple[Memory, tuple[str, ...]]:
+    """How misses hang together: as the configuration says, else as the error model itself does.
+
+    Returns:
+        That, and a line for each part of what a model has that is left out.
+    """
+    every = named.values() if isinstance(named, Mapping) else (named,)
+    models = list({id(model): model for model in every}.values())
+    owned = {model.name: own for model in models if (own := memory_of(model)) is not None}
+    memory = Memory(tau_s=config.assumed_memory_s)
+    if len(models) == 1:
+        memory = owned.get(models[0].name, memory)
+    if config.memory_s is not None:
+        memory = replace(memory, tau_s=config.memory_s)
+    if config.frailty is not None:
+        memory = replace(memory, frailty=config.frailty)
+    if len(models) > 1:
+        words = "its memory is left out, as slots have models of their own; memory_s is for all"
+        return memory, tuple(f"error model {name}: {words}" for name in owned)
+    if memory.frailty > 0.0 and isinstance(back_end.simulator, UnrolledSimulator):
+        which = f"simulator {back_end.simulator.name!r}, which has slots,"
+        words = f"its frailty {memory.frailty:.2g} is left out: {which} works with frailty 0 alone"
+        return replace(memory, frailty=0.0), (f"error model {models[0].name}: {words}",)
+    return memory, ()
+
+
 def _check_hidden(config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[object]) -> None:
     """Refuse properties that the answer could not name, and slots with what is of one obstacle."""
     for one in hidden:
@@ -200,7 +229,7 @@ def _check_hidden(config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[
     if not isinstance(back_end.simulator, UnrolledSimulator):
         return
     which = f"simulator {back_end.simulator.name!r}, which has slots,"
-    if config.frailty > 0.0:
+    if config.frailty:
         raise ConfigError(f"frailty = {config.frailty:g}: {which} works with frailty 0 alone")
     if hidden:
         raise ConfigError(f"hidden: {which} takes no property of your own")

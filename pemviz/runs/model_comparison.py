@@ -60,6 +60,9 @@ def compare_models(
 ) -> Sequence[ModelFigures]:
     """Estimate the failure probability under each model from the same rollouts.
 
+    Misses are independent given the state unless the configuration has a memory time: a memory of a
+    model's own is left out, as the models are to differ in P(detected) alone.
+
     ``rollouts`` are sampled from each model's zero-variance proposal; all together count as samples
     from the mixture of the proposals (balance heuristic: Veach & Guibas 1995), so that no model
     has to live on rollouts that were sampled for another.
@@ -75,9 +78,16 @@ def compare_models(
     """
     if len(names) < 2:
         raise ConfigError(f"models = {', '.join(names) or 'none'}: name at least two")
-    if config.frailty > 0.0:
+    if config.frailty:
         raise ConfigError(f"frailty = {config.frailty:g}: models are compared with frailty 0 alone")
-    base = replace(config, method="zero-variance", final_rollouts=rollouts, reference=False)
+    base = replace(
+        config,
+        method="zero-variance",
+        final_rollouts=rollouts,
+        reference=False,
+        memory_s=config.assumed_memory_s if config.memory_s is None else config.memory_s,
+        frailty=0.0,
+    )
     experiments = [
         build_experiment(replace(base, pem=name), allow_python=allow_python) for name in names
     ]

@@ -19,6 +19,7 @@ from pemviz.latents import LatentCounts
 from pemviz.pem import Pem
 from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
 from pemviz.sampling.bursts.curve import CurvePoint
+from pemviz.sampling.slots import single_model
 from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate, ShownInNotebooks, StageKind
@@ -79,10 +80,16 @@ class RunMemory:
         """Whether misses are independent given the state."""
         return self.tau_s == 0.0 and self.frailty == 0.0 and not self.hidden
 
+    @property
+    def is_own(self) -> bool:
+        """Whether it is the error model's own, memory time and frailty."""
+        own = self.fitted
+        return own is not None and (own.tau_s, own.frailty or 0.0) == (self.tau_s, self.frailty)
+
 
 def memory_of(pem: Pem) -> RunMemory:
     """The memory that a run with this error model assumes."""
-    assumed, own = memory_of_pem(pem), own_memory(own_pem(pem))
+    assumed, own = memory_of_pem(pem), own_memory(single_model(own_pem(pem)))
     hidden = tuple(one.label for one in hidden_in(pem) if one.label)
     run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
     if own is None:

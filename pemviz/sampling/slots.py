@@ -119,6 +119,13 @@ def slot_pem(pem: DetectorModel | Mapping[str, DetectorModel], slots: Sequence[S
     return SlotPem(tuple(by_model[id(pem[name])] for name in names), nominal)
 
 
+def single_model(pem: Pem) -> Pem:
+    """The one model that answers for all slots; what has no slots, or several models, as it is."""
+    if isinstance(pem, SlotPem) and all(model is pem.models[0] for model in pem.models):
+        return pem.models[0]
+    return pem
+
+
 def with_slots(
     simulator: Simulator, pem: Pem | Mapping[str, Pem], ensemble: PemEnsemble | None
 ) -> tuple[Pem, PemEnsemble | None]:

@@ -25,7 +25,10 @@ def test_presets_are_the_designs():
     assert preset_names(logical_scenarios=False) == ("paper", "paper-algorithm", "town01")
     for logical_scenario in LOGICAL_SCENARIOS:
         config = load_preset(logical_scenario)
-        assert (config.encounter.logical_scenario, config.memory_s) == (logical_scenario, 0.25)
+        assert (config.encounter.logical_scenario, config.assumed_memory_s) == (
+            logical_scenario,
+            0.25,
+        )
         assert f"always[0,{config.encounter.states - 1}]" in config.rules[0].formula
     assert load_preset("paper-algorithm") == ExperimentConfig(method="adaptive")
     assert paper == ExperimentConfig(plan=True)

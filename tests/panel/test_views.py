@@ -34,7 +34,7 @@ from pemviz.panel.trajectories_tab import ranking_table
 from pemviz.reports.charts import models_chart
 from pemviz.reports.estimate_words import short_probability
 from pemviz.runs.drawn_rollout import RIGHT
-from pemviz.runs.result import PemInfo
+from pemviz.runs.result import PemInfo, RunMemory
 from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Diagnostic
@@ -112,9 +112,12 @@ def test_headline_gives_the_estimate(naive_run):
     assert "in one run, if error model ml-nn is right.<" in text
     assert f"{estimate.failures} of 60" in text
     scenario = replace(naive_run.config.scenario, tracker="2/3,coast=0.5")
-    config = replace(naive_run.config, memory_s=0.2, frailty=0.7, scenario=scenario)
+    config = replace(naive_run.config, scenario=scenario)
+    memory = RunMemory(tau_s=0.2, frailty=0.7)
     errors = PemInfo(name="pointrcnn", digest="", data="")
-    asked = headline.headline(with_result(naive_run, config=config, position_errors=errors))
+    asked = headline.headline(
+        with_result(naive_run, config=config, memory=memory, position_errors=errors)
+    )
     assert (
         "right; with memory time 0.2 s, frailty 0.7, tracker 2/3,coast=0.5, "
         "position errors pointrcnn.<"

@@ -138,6 +138,7 @@ OTHER = {
     str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
     "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
     "keep": "violations", "carla": "x", "chains": 77, "max_rollouts": 777,
+    "memory_s": 0.5, "frailty": 0.5,
 }  # fmt: skip
 
 

@@ -83,6 +83,11 @@ class OwnPem:
         """The model's own answer, shape ``[...]``, for salient variables ``[..., D]``."""
         return self.detector.logit(salient)
 
+    @property
+    def memory(self) -> object:
+        """How its misses hang together, if it says so; see ``pemviz.pem.memory_of``."""
+        return getattr(self.detector, "memory", None)
+
 
 def as_pem(detector: DetectorModel) -> Pem:
     """``detector`` itself if it says all that a perception error model says, else wrapped.
