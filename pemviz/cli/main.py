@@ -1,5 +1,6 @@
 """The command line: finds the command, reports errors in one line, sets the exit code."""
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from functools import partial
 from importlib import import_module
 
 from pemviz._version import __version__
+from pemviz.config.ranges import did_you_mean
 from pemviz.errors import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
@@ -26,22 +28,54 @@ class Command:
         module: Has a function ``run`` that takes the remaining arguments and returns the
             exit code.
         summary: One line for the overview.
+        arguments: Module and name of the dataclass of its arguments; empty of one that has actions
+            instead, which its module's ``ACTIONS`` names.
     """
 
     module: str
     summary: str
+    arguments: str
 
 
 COMMANDS = {
-    "record": Command("pemviz.cli.record", "run an experiment and keep it in a run folder"),
-    "sweep": Command("pemviz.cli.sweep", "run many experiments: settings times seeds"),
-    "pem": Command("pemviz.cli.pem.command", "collect, fit, evaluate, show error models"),
-    "serve": Command("pemviz.cli.serve", "show the panel in the browser"),
-    "open": Command("pemviz.cli.open", "show a run's recording in rerun's viewer"),
-    "report": Command("pemviz.cli.report", "one page for a safety case from runs and sweeps"),
-    "export": Command("pemviz.cli.export", "a rollout of a run as a file for other tools"),
+    "record": Command(
+        "pemviz.cli.record",
+        "run an experiment and keep it in a run folder",
+        "pemviz.cli.record_arguments:RecordArguments",
+    ),
+    "sweep": Command(
+        "pemviz.cli.sweep",
+        "run many experiments: settings times seeds",
+        "pemviz.cli.sweep:SweepArguments",
+    ),
+    "pem": Command("pemviz.cli.pem.command", "collect, fit, evaluate, show error models", ""),
+    "serve": Command(
+        "pemviz.cli.serve", "show the panel in the browser", "pemviz.cli.serve:ServeArguments"
+    ),
+    "open": Command(
+        "pemviz.cli.open",
+        "show a run's recording in rerun's viewer",
+        "pemviz.recording.open:OpenArguments",
+    ),
+    "report": Command(
+        "pemviz.cli.report",
+        "one page for a safety case from runs and sweeps",
+        "pemviz.cli.report:ReportArguments",
+    ),
+    "export": Command(
+        "pemviz.cli.export",
+        "a rollout of a run as a file for other tools",
+        "pemviz.cli.export:ExportArguments",
+    ),
     "reproduce": Command(
-        "pemviz.cli.reproduce", "the paper's tables and figures beside its numbers"
+        "pemviz.cli.reproduce",
+        "the paper's tables and figures beside its numbers",
+        "pemviz.cli.reproduce:ReproduceArguments",
+    ),
+    "completion": Command(
+        "pemviz.cli.completion",
+        "a script that has your shell complete commands and options",
+        "pemviz.cli.completion:CompletionArguments",
     ),
 }
 
@@ -49,6 +83,17 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        try:
+            return _answer(words)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read what is printed has had enough: nothing to complain of
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+
+
+def _answer(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(_overview())
         return EXIT_DONE if words else EXIT_BAD_INPUT
@@ -65,6 +110,9 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
         name: The command's.
         run: What it does with its words.
         words: After the command.
+
+    Raises:
+        BrokenPipeError: Nobody reads what is printed any more.
     """
     try:
         return run(words)
@@ -73,14 +121,16 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
     except PemvizError as error:
         _show(getattr(error, "traceback_text", ""))
         return _complain(str(error), code=EXIT_FAILED)
+    except (BrokenPipeError, HelpShown):  # a run makes a failed one of what its code raises
+        raise
     except OSError as error:  # a full disk, a folder that went away
         where = "" if error.filename is None else f" ({error.filename})"
         return _complain(f"{error.strerror or error}{where}", code=EXIT_FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted", code=EXIT_FAILED)
-    except HelpShown:
-        raise
     except BaseException as raised:  # exit codes 0 and 1 are for runs that were judged
+        if isinstance(raised, SystemExit) and isinstance(raised.__context__, BrokenPipeError):
+            raise raised.__context__ from None  # what rich makes of it
         error = presentable(raised)
         _show(traceback_of(error))
         return _complain(f"{name} failed: {exception_text(error)}", code=EXIT_FAILED)
@@ -94,7 +144,8 @@ def _command(name: str) -> Callable[[Sequence[str]], int]:
     """The command's ``run``; commands are imported only when called, some take seconds."""
     command = COMMANDS.get(name)
     if command is None:
-        message = f"{name!r} is no command; there are: {', '.join(COMMANDS)}"
+        guess = did_you_mean(name, COMMANDS)
+        message = f"{name!r} is no command; there are: {', '.join(COMMANDS)}{guess}"
         raise InputError(message)
     return import_module(command.module).run
 

@@ -8,6 +8,7 @@ from typing import Annotated, TypeVar
 
 import tyro
 
+from pemviz.cli.help import HelpPage, asked_help, help_text
 from pemviz.config.ranges import Range
 from pemviz.errors import EXIT_DONE, HelpShown, InputError
 
@@ -29,6 +30,7 @@ def parse_arguments(
     default: Arguments | None = None,
     description: str | None = None,
     program: str = "pemviz",
+    page: HelpPage | None = None,
 ) -> Arguments:
     """Parse a command's words into ``kind``; ``--help`` prints and exits with 0.
 
@@ -39,17 +41,23 @@ def parse_arguments(
         default: Values of fields that the words leave out; without it, the fields' own.
         description: Shown above the options.
         program: What the command is one of.
+        page: What ``--help`` shows, with its topics; without it, all options.
 
     Raises:
         InputError: One line with tyro's complaint.
     """
+    topic = asked_help(words)
+    if topic is not None and page is not None:
+        print(help_text(page, topic, kind, default=default))
+        raise HelpShown(EXIT_DONE)
+    given = [PERCENT.sub(_share, word) for word in words] if topic is None else ["--help"]
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(
                 kind,
                 prog=f"{program} {command}",
-                args=[PERCENT.sub(_share, word) for word in words],
+                args=given,
                 description=description,
                 config=(tyro.conf.FlagCreatePairsOff,),
                 default=tyro.MISSING_NONPROP if default is None else default,

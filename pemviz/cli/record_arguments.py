@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from pemviz.cli.help import REST, HelpPage
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.ranges import Range, check_value
@@ -17,13 +18,58 @@ from pemviz.sampling.registry import SHIPPED, ignored_note, ignored_settings
 
 Port = Annotated[int, Range(low=1, high=65535)]
 
-DESCRIPTION = (
-    "Estimate the probability that the scenario violates the specification. "
-    "Writes a run folder with config.toml, result.json, rollouts.npz, proposals.safetensors "
-    "and run.rrd. Exit codes: 0 done, 1 --fail-above tripped, 2 bad input, 3 failed or "
-    "interrupted, 4 --fail-above cannot be decided.\n\nMethods:\n"
-    + "\n".join(f"- {method.name}: {method.summary}" for method in SHIPPED)
-)
+PAGE = HelpPage(
+    text="""
+usage: pemviz record [OPTIONS]   how likely is a violation? Keeps a run folder
+
+Question
+  --preset NAME       paper (default), town01, braking, cut-in, cut-out, merge,
+                      free-traffic, paper-algorithm; or --config FILE.toml
+  --spec FORMULA      what must hold; of several rules each: --rule NAME=FORMULA
+  --scenario.initial-gap-m 13   and all else of the scenario: --help scenario
+Detector
+  --pem NAME|FILE     what it misses: ml-nn, rrc, a file of 'pemviz pem fit'
+  --memory-s S        misses come in bursts, also --frailty F; --memory-curve
+  --position-errors NAME|FILE   how far off it says a car is
+Certainty
+  --method NAME       how, and until when: --precision 10%; see --help method
+  --target P          what labels would show that the answer is below P
+  --seed N            also --repetitions N, and --reference, an exact answer
+Output
+  --out DIR           where run folders go; --verbose, --json: what is printed
+  --fail-above P      exit code 1 if the 95 % bound is above; --junit, --summary
+  --resume RUN        go on with a run that was stopped
+Examples
+  pemviz record --preset cut-in --pem rrc
+  pemviz record --memory-s 0.25 --frailty 0.7 --target 1e-4
+  pemviz record --json --fail-above 1e-9
+More: --help question, detector, certainty, method, output, scenario, encounter,
+sumo, or an option such as --help spec; --help-all for everything""",
+    topics={
+        "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator", "carla",
+                     "sumo_config", "encounters_per_hour"),
+        "detector": ("pem", "memory_s", "frailty", "position_errors", "memory_curve",
+                     "allow_python"),
+        "certainty": ("precision", "max_rollouts", "max_minutes", "target", "plan", "reference",
+                      "repetitions", "seed"),
+        "output": ("out", "resume", "verbose", "json", "fail_above", "summary", "junit", "keep",
+                   "no_recording", "no_frames", "live"),
+        "scenario": ("scenario.",),
+        "encounter": ("encounter.",),
+        "sumo": ("sumo.",),
+        "method": (REST,),
+    },
+    notes={
+        "question": "What is simulated, and what must hold.",
+        "detector": "What stands in for the detector.",
+        "certainty": "How sure the answer is to be, and what else is to be known of it.",
+        "output": "Exit codes: 0 done, 1 --fail-above tripped, 2 bad input, 3 failed or "
+        "interrupted, 4 --fail-above cannot be decided.",
+        "scenario": "The braking scenario: a lead car brakes, the ego brakes for it once detected.",
+        "encounter": "Logical scenarios, which begin at random; --start has their distributions.",
+        "method": "\n".join(f"- {method.name}: {method.summary}" for method in SHIPPED),
+    },
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,9 +156,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
     """
     source = _source(words)
     start = RecordArguments(source=source, experiment=_start(source))
-    arguments = parse_arguments(
-        RecordArguments, words, command="record", default=start, description=DESCRIPTION
-    )
+    arguments = parse_arguments(RecordArguments, words, command="record", default=start, page=PAGE)
     for name, value, annotation in (
         ("live", arguments.live, Port),
         ("workers", arguments.workers, Processes),

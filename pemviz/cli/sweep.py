@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, TextColumn
 
 from pemviz.cli.bars import bar
+from pemviz.cli.help import HelpPage
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.cli.workers import check_one_kind
@@ -42,11 +43,28 @@ SCHEMA = 1
 DEFAULT_OUT = Path("sweeps")
 Seeds = Annotated[int, Range(low=1, high=100_000)]
 
-DESCRIPTION = (
-    "Run an experiment with every combination of settings and every seed. Writes one run folder "
-    "a run, one table (sweep.csv, sweep.parquet), summary.md and the overview recording "
-    "sweep.rrd. The same command again skips what is done. Exit codes: 0 done, 2 bad input, "
-    "3 a run failed twice, or interrupted."
+PAGE = HelpPage(
+    text="""
+usage: pemviz sweep [CONFIG.toml] [OPTIONS]
+Every combination of settings with every seed: a run folder each, a table
+(sweep.csv, sweep.parquet), summary.md and an overview recording, sweep.rrd.
+
+Question
+  --preset NAME              a shipped configuration, in place of CONFIG.toml
+  --vary FIELD=VALUE,VALUE   a field of the configuration; may be repeated
+  --seeds N                  seeds of each setting [1]
+Work
+  --workers N                processes here; --scheduler ADDRESS: a cluster
+Output
+  --out DIR                  the same command again skips what is done there
+  --keep results|all         rollouts and recordings of every run too
+  --json                     the table as one JSON object
+Examples
+  pemviz sweep --preset paper --vary alpha=0.1,0.5 --seeds 10
+  pemviz sweep my.toml --vary scenario.initial_gap_m=12,15,18
+  pemviz sweep --vary method=mixture,splitting --out sweeps/methods
+Exit codes: 0 done, 2 bad input, 3 a run failed twice, or interrupted
+More: --help OPTION, such as --help vary; --help-all for everything""",
 )
 
 
@@ -57,8 +75,7 @@ class SweepArguments:
     config: tyro.conf.Positional[Path | None] = None
     """Configuration file (TOML) that every run starts from."""
     preset: str | None = None
-    """Shipped configuration to start from instead: paper, paper-algorithm, town01, braking, cut-in
-    or cut-out."""
+    """Shipped configuration to start from instead, as of 'pemviz record'."""
     vary: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """FIELD=VALUE,VALUE,... with any field of the configuration, such as alpha=0.05,0.1 or
     scenario.initial_gap_m=12,15; may be given several times."""
@@ -113,7 +130,7 @@ def parse(words: Sequence[str]) -> SweepArguments:
         InputError: An option is unknown, or a value is not allowed.
     """
     arguments = parse_arguments(
-        SweepArguments, words, command="sweep", default=SweepArguments(), description=DESCRIPTION
+        SweepArguments, words, command="sweep", default=SweepArguments(), page=PAGE
     )
     check_value(name="seeds", value=arguments.seeds, annotation=Seeds)
     if arguments.workers is not None:

@@ -1,11 +1,15 @@
-"""What values a field may have, declared where it is: ranges of numbers, names of parts."""
+"""What a field means and which values it may have, as declared where it is: ranges, names."""
 
+import ast
 import difflib
+import inspect
 import math
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
+from itertools import pairwise
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -130,6 +134,30 @@ class NamedPart:
         if not is_fit:
             raise ConfigError(f"{where}: {point.value} {complaint.format(described(part))}")
         return part
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The end of a message about a name that there is not: the nearest one that there is."""
+    near = difflib.get_close_matches(name[:100], list(names), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+@lru_cache(maxsize=16)
+def field_docs(kind: type) -> dict[str, str]:
+    """The text beneath each field of a dataclass, on one line."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
+    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
+    docs: dict[str, str] = {}
+    for field, after in pairwise(body):
+        match field, after:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(words))),
+            ):
+                docs[name] = " ".join(words.split())
+            case _:
+                pass
+    return docs
 
 
 def described(part: object) -> str:

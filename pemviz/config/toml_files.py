@@ -10,6 +10,7 @@ import tomli_w
 
 from pemviz.config import BLACK_BOXES, ExperimentConfig
 from pemviz.config.encounters import LOGICAL_SCENARIOS, StartChoice
+from pemviz.config.ranges import did_you_mean
 from pemviz.config.records import read_record, read_value
 from pemviz.config.settings import SumoConfig
 from pemviz.config.tracker_text import NO_TRACKER
@@ -54,7 +55,10 @@ def load_preset(name: str) -> ExperimentConfig:
         ConfigError: There is no such preset.
     """
     if name not in preset_names():
-        raise ConfigError(f"preset = {name!r}: must be one of {', '.join(preset_names())}")
+        names = preset_names()
+        raise ConfigError(
+            f"preset = {name!r}: must be one of {', '.join(names)}{did_you_mean(name, names)}"
+        )
     return load_config(asset_path("presets", f"{name}.toml"))
 
 

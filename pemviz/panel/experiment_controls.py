@@ -1,19 +1,14 @@
 """Controls of a logical scenario, of trackers and of position errors; hints for all controls."""
 
-import ast
-import inspect
-import textwrap
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
-from itertools import pairwise
 from typing import Any, cast, get_args, get_type_hints
 
 import viser
 
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig, ScenarioConfig, StartChoice
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO, EncounterConfig
-from pemviz.config.ranges import Range
+from pemviz.config.ranges import Range, field_docs
 from pemviz.config.rule_words import read_starts
 from pemviz.config.tracker_text import (
     NO_TRACKER,
@@ -49,24 +44,6 @@ OPTIONS_HINT = (
     "[m/s^2], speed-sd [m/s] of kalman. Empty: the filter's own."
 )
 FILE_HINT = "Path of a file of 'pemviz pem fit --position-errors', where the panel runs."
-
-
-@lru_cache(maxsize=8)
-def field_docs(kind: type) -> dict[str, str]:
-    """The text beneath each field of a dataclass, on one line."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
-    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
-    docs: dict[str, str] = {}
-    for field, after in pairwise(body):
-        match field, after:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str(words))),
-            ):
-                docs[name] = " ".join(words.split())
-            case _:
-                pass
-    return docs
 
 
 def limits(name: str, *, step: float, kind: type = ExperimentConfig) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pemviz.arrays import AnyArray, FloatArray
+from pemviz.config.ranges import did_you_mean
 from pemviz.errors import PemError
 from pemviz.faults import exception_text
 from pemviz.files.atomic import is_file, write_bytes
@@ -93,6 +94,7 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
     raise PemError(
         f"no perception error model {name_or_path!r}; give one of {', '.join(shipped_pems())}, "
         f"a path to {SUFFIX} or .csv, or an allowed module:attribute"
+        f"{did_you_mean(name_or_path, shipped_pems())}"
     )
 
 

@@ -124,7 +124,7 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
             low=None,
             high=None,
             note="the model has no ensemble, or nothing failed",
-            narrowed_by="pemviz pem fit --ensemble",
+            narrowed_by="pemviz pem fit --members 20",
         )
     else:
         yield UncertaintySource(

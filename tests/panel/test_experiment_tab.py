@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from pemviz.config import ExperimentConfig, StartChoice
+from pemviz.config.ranges import field_docs
 from pemviz.config.toml_files import load_preset
 from pemviz.config.tracker_text import read_tracker, tracker_options
 from pemviz.errors import ConfigError, InputError
 from pemviz.panel import experiment_tab
 from pemviz.panel.experiment_controls import (
     check_back_end,
-    field_docs,
     hint,
     limits,
     plain_simulator,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal, cast, get_args
 
 from pemviz.cli.bars import progress_bar
+from pemviz.cli.help import HelpPage
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
@@ -26,6 +27,31 @@ from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
 Format = Literal[DetectionFormat, SequenceFormat, "nuscenes", "motchallenge", "log"]
+
+PAGE = HelpPage(
+    text="""
+usage: pemviz pem collect --labels PATH --detections PATH [OPTIONS]
+A table of every labelled obstacle, with whether the detector reported it.
+
+Files
+  --labels PATH          what was there: a folder of KITTI labels, of nuScenes'
+                         tables, or of MOTChallenge's sequences
+  --detections PATH      what the detector reported: a folder, or a json file
+  --format NAME          kitti, yolo, coco; of sequences mot, ab3dmot, nuscenes,
+                         motchallenge; log: --mapping FILE.toml says its columns
+  --out FILE             the table [obstacles.csv]
+What counts
+  --types Car            classes that are obstacles; --drop-unknown
+  --iou-above 0.5        overlap of boxes that makes a detection [0.01]
+  --centres-below-m 2    distance that does, with nuscenes
+  --score-from X         detections of a lower score are ignored; --class-aware
+  --rate-hz 10           frames a second of sequences
+Examples
+  pemviz pem collect --labels label_2 --detections found --out obstacles.csv
+  pemviz pem collect --labels label_02 --detections boxes --format mot
+  pemviz pem collect --labels v1.0-mini --detections my.json --format nuscenes
+More: --help OPTION, such as --help format; --help-all for everything""",
+)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
+from pemviz.cli.help import HelpPage
 from pemviz.cli.parsing import parse_arguments
+from pemviz.config.ranges import did_you_mean
 from pemviz.errors import EXIT_BAD_INPUT, EXIT_DONE, InputError
 
 ACTIONS = {
@@ -27,12 +29,14 @@ def run(words: Sequence[str]) -> int:
         print(_overview())
         return EXIT_DONE if words else EXIT_BAD_INPUT
     if words[0] not in ACTIONS:
-        message = f"pem {words[0]!r}: must be one of {', '.join(ACTIONS)}"
+        guess = did_you_mean(words[0], ACTIONS)
+        message = f"pem {words[0]!r}: must be one of {', '.join(ACTIONS)}{guess}"
         raise InputError(message)
     module = import_module(f"pemviz.cli.pem.{words[0]}")
     kind: type[Any] = getattr(module, ACTIONS[words[0]][0])
     carry_out: Callable[[Any], int] = module.run
-    return carry_out(parse_arguments(kind, words[1:], command=f"pem {words[0]}"))
+    page: HelpPage | None = getattr(module, "PAGE", None)
+    return carry_out(parse_arguments(kind, words[1:], command=f"pem {words[0]}", page=page))
 
 
 def _overview() -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.cli.bars import progress_bar
+from pemviz.cli.help import HelpPage
 from pemviz.cli.pem.memory import fitted_memory
 from pemviz.cli.pem.position_errors import write_position_errors
 from pemviz.errors import PemError
@@ -21,6 +22,30 @@ from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.judging.memory_report import memory_line
 from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
+
+PAGE = HelpPage(
+    text="""
+usage: pemviz pem fit --table FILE --out FILE.safetensors [OPTIONS]
+An error model of your detector, and a card that says what it rests on.
+
+Data
+  --table FILE           of 'pemviz pem collect', or a table of your own
+  --rate-hz 10           frames a second, where the table does not tell
+Model
+  --model NAME           guess-mu, lr, ml-nn, b-nn as in the paper; gb-paper,
+                         gb-raw: boosted trees
+  --memory               also how misses follow each other (needs tracks)
+  --position-errors      how far off it says a car is, not misses; --tails
+  --members 20           also refits of it, beside it
+  --folds N, --seed N    of the cross-validation; of everything random
+Card
+  --name TEXT, --data TEXT, --licence TEXT    what it is called and rests on
+Examples
+  pemviz pem fit --table obstacles.csv --members 20 --out my.safetensors
+  pemviz pem fit --table tracks.csv --model gb-raw --memory --out my.safetensors
+  pemviz pem fit --table tracks.csv --position-errors --out errors.safetensors
+More: --help OPTION, such as --help members; --help-all for everything""",
+)
 
 
 @dataclass(frozen=True)

@@ -288,7 +288,7 @@ def load_tracks(
     """Read a CSV with sequence, frame, track, the salient columns and the outcome.
 
     Args:
-        path: as ``pemviz pem collect --tracks`` writes it, or one of the user's own.
+        path: as ``pemviz pem collect`` writes it of sequences, or one of the user's own.
         rate_hz: frames a second where the table has no column ``rate_hz``.
         needs_state: whether the salient columns must be there; else a table without any of them
             will do.
