@@ -1,5 +1,6 @@
 """What flows between the parts: states, rollouts, stages, estimates. All frozen."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -375,6 +376,13 @@ class Estimate(ShownInNotebooks):
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with it, in words."""
         return tuple(diagnostic.text for diagnostic in self.diagnostics)
+
+    @property
+    def relative_half_width(self) -> float:
+        """Of the interval, as a share of the probability; infinite where there is none."""
+        if self.ci_low is None or self.ci_high is None or self.probability == 0.0:
+            return math.inf
+        return 0.5 * (self.ci_high - self.ci_low) / self.probability
 
 
 @dataclass(frozen=True)

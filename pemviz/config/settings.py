@@ -143,8 +143,8 @@ class SumoConfig:
 class ExperimentConfig:
     """One experiment: scenario, specification, perception error model, method, seed."""
 
-    method: MethodName = "mixture"
-    """How the failure probability is estimated: adaptive, mixture, zero-variance, splitting,
+    method: MethodName = "auto"
+    """How the failure probability is estimated: auto, mixture, adaptive, zero-variance, splitting,
     subset, monte-carlo, naive, or a name that an installed package registers as an entry point of
     the group pemviz.methods."""
     metric: MetricName = "classical"
@@ -198,6 +198,9 @@ class ExperimentConfig:
     max_rollouts: Annotated[int, Range(low=10, high=100_000_000)] | None = None
     """Rollouts at most that method auto samples from proposals; 10 to 100 million. Left out, ten
     times those of stages, rollouts and final_rollouts."""
+    max_minutes: Annotated[float, Range(low=0.0, low_open=True, high=1e5)] | None = None
+    """Minutes after which method auto begins no further stage but the last [min]; above 0, at most
+    1e5. The answer of a seed then depends on how fast the machine is. Left out, none."""
     chains: Annotated[int, Range(low=0, high=100_000)] | None = None
     """Rollouts a level of the Markov chains that search for failure modes before mixture fits
     proposals; 0 to 100,000, 0: none do. Left out, 200 where rollouts begin at random or noise

@@ -1,12 +1,15 @@
 """Numbers and estimates in words: the same digits, and the same words, wherever they are told."""
 
+import math
 import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.runs.result import PemInfo, RunResult
+from pemviz.sampling.auto.description import most_rollouts
 from pemviz.sampling.estimates.trust import rests_on_weights
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
@@ -134,6 +137,29 @@ def method_text(result: RunResult) -> str:
     if estimate is None or estimate.method == method:
         return method
     return f"{method}, which chose {estimate.method}"
+
+
+def chosen_text(result: RunResult) -> str | None:
+    """Why a method that goes on chose what it did, and how far it came; ``None`` of others.
+
+    For instance '0 of the first 240 plain rollouts violate; +- 9.8 %, 20 % asked for'.
+    """
+    config, estimate = result.config, result.estimate
+    if estimate is None or not result.stages or not by_name(config.method).goes_on:
+        return None
+    first, asked = result.stages[0], f"{100.0 * config.precision:.3g} % asked for"
+    words = f"{first.failures} of the first {first.rollouts} plain rollouts violate"
+    half = estimate.relative_half_width
+    if not math.isfinite(half):
+        return f"{words}; no interval, +- {asked}"
+    words += f"; +- {100.0 * half:.{1 if half < 0.1 else 0}f} %, {asked}"
+    if half <= config.precision:
+        return words
+    most = most_rollouts(config)
+    if estimate.rollouts_simulated >= most:
+        return f"{words}, and stopped by max_rollouts {most}"
+    stopped = config.max_minutes is not None
+    return f"{words}, and stopped by max_minutes {config.max_minutes:g}" if stopped else words
 
 
 def missing_more_text(estimate: Estimate) -> str:

@@ -135,6 +135,8 @@ def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
         f"{estimates.method_text(result)}{repeated}: {counted} violate {what}; took "
         f"{result.timings_s.get('total', math.nan):.1f} s"
     )
+    if chosen := estimates.chosen_text(result):
+        yield chosen
     yield from estimates.next_text(run_remedy(result))
     if rate := answer_words.rate_line(result):
         yield rate
@@ -421,6 +423,8 @@ def _question(result: RunResult) -> Section:
         ("budget", _budget_text(config)),
         ("rollouts are ranked by", ranked),
     ]
+    if chosen := estimates.chosen_text(result):
+        rows.insert(4, ("chosen, as", chosen))
     return Section("question", "What was asked", (), (doc.facts(rows),))
 
 

@@ -201,7 +201,7 @@ def _estimate_table(
 ) -> Table:
     table = _fields_of(estimate)
     against = interval_caveats(estimate) if caveats is None else caveats
-    better = remedy(estimate.method, latents=result.latents is not None)
+    better = remedy(result.config.method, latents=result.latents is not None)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
     return {

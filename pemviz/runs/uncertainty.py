@@ -12,6 +12,7 @@ from typing import Literal
 from pemviz.runs.result import RunMemory, RunResult
 from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
+from pemviz.sampling.registry import by_name
 from pemviz.types import Diagnostic
 
 
@@ -54,7 +55,7 @@ def run_remedy(result: RunResult) -> str | None:
     doubted = any(interval_caveats(rule) for rule in rules if rule.ci_low is not None)
     if estimate is None or not (doubted or run_interval_caveats(result)):
         return None
-    return remedy(estimate.method, latents=result.latents is not None)
+    return remedy(result.config.method, latents=result.latents is not None)
 
 
 def data_warnings(result: RunResult) -> tuple[str, ...]:
@@ -97,14 +98,14 @@ def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
 def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  checked before
-    better = remedy(estimate.method, latents=result.latents is not None)
+    better = remedy(result.config.method, latents=result.latents is not None)
     yield UncertaintySource(
         kind="sampling",
         name=f"sampling, {'not a ' if caveats else ''}{100.0 * estimate.confidence:g} % interval",
         low=estimate.ci_low,
         high=estimate.ci_high,
         note=caveats[0] if caveats else "",
-        narrowed_by=better if caveats else "four times the rollouts",
+        narrowed_by=better if caveats else by_name(result.config.method).narrows,
     )
     if (reference := result.reference) is not None:
         sampled = "exact reference (+- 2 standard errors)"

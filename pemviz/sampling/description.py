@@ -60,6 +60,7 @@ class MethodDescription:
             are none at their level; ``None`` where they are.
         remedy: What to try where an answer is not to be trusted, in words.
         remedy_with_latents: The same where the scenario has latents; ``None``: no other.
+        narrows: What halves the interval, in words.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
         stage_interval: Of a stage's own estimate: ``log-normal`` from its weights, ``binomial``,
@@ -86,6 +87,7 @@ class MethodDescription:
     interval_caveat: str | None = None
     remedy: str = "more rollouts"
     remedy_with_latents: str | None = None
+    narrows: str = "four times the rollouts"
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"
     counting: Counting = "rollouts"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,13 @@ MOST_TIMES = 10
 """Times likewise, up to which proposals go on."""
 
 
+def most_rollouts(config: ExperimentConfig) -> int:
+    """At most so many are sampled from proposals."""
+    if config.max_rollouts is not None:
+        return config.max_rollouts
+    return MOST_TIMES * learning_budget(config).rollouts
+
+
 def _with_budget(config: ExperimentConfig, rollouts: int) -> ExperimentConfig:
     return replace(with_learning_budget(config, rollouts), max_rollouts=rollouts)
 
@@ -40,8 +48,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     from pemviz.sampling.mixture.build import mixture_of  # noqa: PLC0415  as above
     from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
 
-    budget = learning_budget(config).rollouts
-    most = MOST_TIMES * budget if config.max_rollouts is None else config.max_rollouts
+    budget, most = learning_budget(config).rollouts, most_rollouts(config)
     if most < budget:
         message = (
             f"max_rollouts = {most}: must be at least the {budget} that stages, rollouts and "
@@ -56,6 +63,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
         most=most,
         precision=config.precision,
+        most_s=math.inf if config.max_minutes is None else 60.0 * config.max_minutes,
     )
 
 
@@ -73,13 +81,15 @@ AUTO = MethodDescription(
     summary="plain rollouts for as long as they pay, then mixture until the answer is precise",
     build=_build,
     recount=_recounted,
-    remedy="a larger --max-rollouts; --method subset or zero-variance beside it",
+    remedy="a larger --max-rollouts; --method zero-variance or splitting beside it",
     remedy_with_latents="a larger --max-rollouts; --method subset beside it",
+    narrows="half the --precision",
     settings=frozenset(
         {
             "alpha",
             "chains",
             "final_rollouts",
+            "max_minutes",
             "max_rollouts",
             "precision",
             "rollouts",

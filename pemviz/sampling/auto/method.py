@@ -7,17 +7,20 @@ relative half-width h takes is read::
 
     n_h = (1.96 / h)^2 (1 - p) / p, p = F / n
 
-If it is within reach, as many are sampled and counted. Else all plain rollouts enter the pool of
+If it is within reach, as many are sampled and counted; with several rules F is that of the rarest,
+so that none is left to a handful. Else all plain rollouts enter the pool of
 :class:`pemviz.sampling.mixture.method.MixtureSampling`, whose every weight they bound. Before its
 last stage its answer so far is looked at: where a diagnostic undermines it, or the half-width is
 far from h, learning goes on with twice the rollouts; else the last stage has as many as h takes.
 Its answer has to agree with the plain count.
 
-What is chosen follows from counts alone, never from times: the same seed gives the same answer on
-every machine.
+What is chosen follows from counts alone, so that the same seed gives the same answer on every
+machine, unless a time is set. Then what the stages took is kept beside their rollouts, and a run
+that goes on from them decides as it would have.
 """
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -45,8 +48,12 @@ FEW_FAILURES = 10
 """Violations among plain rollouts from which on their share is known well enough."""
 FAR_FACTOR = 3.0
 """Times the wanted half-width, beyond which more rollouts are to learn from, not only to count."""
+MARGIN = 1.1
+"""By which the last stage aims below the wanted half-width, as what it brings varies."""
 PLAIN_CONFIDENCE = 0.999
 """Of the plain count's interval, in which the answer is to lie."""
+SECONDS = "seconds"
+"""What each stage took, where a time is set."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,14 @@ class PlainStage:
 
 
 @dataclass(frozen=True)
+class Proposing:
+    """The method of proposals, with the stages and rollouts that it has come to, and its state."""
+
+    method: MixtureSampling
+    state: MixtureState
+
+
+@dataclass(frozen=True)
 class AutoState:
     """Where a repetition stands.
 
@@ -66,16 +81,16 @@ class AutoState:
         plain: The violations of each plain stage that is done.
         sizes: Of the plain stages that are the answer; empty where they are not, or not yet.
         first_counted: Which of the plain stages is the first of these.
-        mixture: Where the method of proposals stands; ``None`` before it begins.
-        method: It, with the stages and rollouts that it has come to.
+        proposing: Where the method of proposals stands; ``None`` before it begins.
+        seconds: What each stage took, where a time is set.
     """
 
     repetition: int
     plain: tuple[PlainStage, ...] = ()
     sizes: tuple[int, ...] = ()
     first_counted: int = 0
-    mixture: MixtureState | None = None
-    method: MixtureSampling | None = None
+    proposing: Proposing | None = None
+    seconds: tuple[float, ...] = ()
 
     @property
     def counted(self) -> WeighedRollouts:
@@ -96,6 +111,7 @@ class AutoSampling:
         most_plain: So many at most, if they are to be the answer.
         most: Rollouts at most that proposals draw.
         precision: Wanted half-width of the 95 % interval, as a share of the answer.
+        most_s: Seconds at most; looked at between stages, the last of which is sampled after all.
     """
 
     mixture: MixtureSampling
@@ -104,6 +120,7 @@ class AutoSampling:
     most_plain: int
     most: int
     precision: float
+    most_s: float = math.inf
     name: str = "auto"
 
     @property
@@ -117,28 +134,39 @@ class AutoSampling:
 
     def step(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
         """The next plain rollouts, or the next stage of proposals."""
-        if state.mixture is None or state.method is None:
-            return self._plain_step(problem, state)
-        before = len(state.plain)
+        began, known = time.perf_counter(), list[float]()
 
         def finished(repetition: int, stage: int) -> FinishedStage | None:
-            return problem.finished(repetition, stage + before)
+            found = problem.finished(repetition, stage)
+            if found is not None and SECONDS in found.kept:
+                known.append(float(found.kept[SECONDS]))
+            return found
 
-        inner, result = state.method.step(replace(problem, finished=finished), state.mixture)
-        method = state.method
-        if inner.stage == method.learning_stages + 1 and not inner.frozen:
-            method = self._gone_on(method, inner)
-        return (
-            replace(state, mixture=inner, method=method),
-            replace(result, stage=result.stage + before),
-        )
+        watched = replace(problem, finished=finished)
+        proposing = state.proposing
+        if proposing is None:
+            state, result = self._plain_step(watched, state)
+        else:
+            state, result = _proposing_step(watched, state, proposing)
+        if math.isfinite(self.most_s):
+            took_s = known[0] if known else time.perf_counter() - began
+            state = replace(state, seconds=(*state.seconds, took_s))
+            result = replace(result, kept={**result.kept, SECONDS: np.array(took_s)})
+        if state.proposing is not None:
+            return self._with_next_stages(state, state.proposing), result
+        if not state.sizes or self._left_s(state) <= 0.0:
+            state = self._decided(problem, state)
+        return state, result if state.sizes else replace(result, kind="pretrain")
+
+    def _left_s(self, state: AutoState) -> float:
+        return self.most_s - sum(state.seconds)
 
     def _plain_step(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
         stage = len(state.plain)
         seeds = stage_seeds(
             seed=self.mixture.seed, repetition=state.repetition, stage=FIRST_STAGE + stage
         )
-        watched, size = stages.watching(problem), self._next_plain(state)
+        watched, size = stages.watching(problem), self._next_plain(problem, state)
         scored = finished_or(
             problem,
             lambda: sample(watched, proposal=PemProposal(), count=size, seeds=seeds),
@@ -146,35 +174,36 @@ class AutoSampling:
             stage=stage,
         )
         done = PlainStage(weighed(scored), scored.take(np.flatnonzero(scored.violated)))
-        state = replace(state, plain=(*state.plain, done))
-        if not state.sizes:
-            state = self._decided(problem, state)
         result = final_stage(
             repetition=state.repetition, stage=stage, scored=scored, sampled_from=PemProposal()
         )
-        return state, result if state.sizes else replace(result, kind="pretrain")
+        return replace(state, plain=(*state.plain, done)), result
 
-    def _next_plain(self, state: AutoState) -> int:
+    def _next_plain(self, problem: Problem, state: AutoState) -> int:
         """How many plain rollouts the next stage has, ahead of proposals or as the answer."""
         if state.sizes:
             return state.sizes[len(state.plain) - state.first_counted]
         if not state.plain:
             return self.first
         so_far = state.counted
-        wanted = math.ceil(FEW_FAILURES * so_far.count / so_far.failures)
+        wanted = math.ceil(FEW_FAILURES * so_far.count / _fewest_failures(problem, so_far))
         return max(min(wanted, self.most_looked_at) - so_far.count, 1)
 
     def _decided(self, problem: Problem, state: AutoState) -> AutoState:
         """After plain rollouts: more to see their share, all that a count takes, or proposals."""
+        if self._left_s(state) <= 0.0:
+            counted = [part.weighed.count for part in state.plain[state.first_counted :]]
+            return replace(state, sizes=tuple(counted))
         so_far = state.counted
-        failures, count = so_far.failures, so_far.count
+        failures, count = _fewest_failures(problem, so_far), so_far.count
         if 0 < failures < FEW_FAILURES and count < self.most_looked_at:
             return state
         wanted = math.inf
         if failures >= FEW_FAILURES:
             share, errors = failures / count, float(ndtri(0.5 + CONFIDENCE / 2.0))
             wanted = math.ceil((errors / self.precision) ** 2 * (1.0 - share) / share)
-        if wanted <= self.most_plain:
+        within_s = self._left_s(state) * count / max(sum(state.seconds), 1e-9)
+        if wanted <= min(self.most_plain, within_s):
             # those that were looked at last are the first that count
             last = state.plain[-1].weighed.count
             more = int(wanted) - last
@@ -182,36 +211,49 @@ class AutoSampling:
             return replace(state, sizes=(last, *parts), first_counted=len(state.plain) - 1)
         violating = ScoredRollouts.concatenate([part.violating for part in state.plain])
         plain = PlainRollouts(count, so_far.row, violating)
-        return replace(
-            state,
-            mixture=self.mixture.init(problem, repetition=state.repetition, plain=plain),
-            method=self.mixture,
-        )
+        begun = self.mixture.init(problem, repetition=state.repetition, plain=plain)
+        return replace(state, proposing=Proposing(self.mixture, begun))
 
-    def _gone_on(self, method: MixtureSampling, inner: MixtureState) -> MixtureSampling:
+    def _with_next_stages(self, state: AutoState, proposing: Proposing) -> AutoState:
+        """With as many stages and rollouts as the answer so far, and the time left, ask for."""
+        method, inner = proposing.method, proposing.state
+        if inner.frozen:
+            return state
+        if inner.stage == method.learning_stages + 1:
+            method = self._gone_on(state, method, inner)
+        elif state.seconds and self._left_s(state) < 2.0 * state.seconds[-1]:
+            # what is learned from next is the last, as the stage that counts needs time too
+            method = replace(method, learning_stages=inner.stage)
+        return replace(state, proposing=replace(proposing, method=method))
+
+    def _gone_on(
+        self, state: AutoState, method: MixtureSampling, inner: MixtureState
+    ) -> MixtureSampling:
         """Before the last stage: as many rollouts more as the answer so far asks for."""
         found, pool = method.preview(inner), inner.pool
         plain = 0 if inner.before is None else inner.before.count
         drawn = 0 if pool is None else pool.sampled - plain
-        left = self.most - drawn
-        half = _half_width(found)
+        left, least = self.most - drawn, self.mixture.final_rollouts
+        if state.seconds:
+            within_s = method.rollouts * self._left_s(state) / max(state.seconds[-1], 1e-9)
+            left = min(left, max(int(within_s), method.rollouts))
+            least = min(least, left)
+        half = found.relative_half_width
         if undermining(found.diagnostics, basis="weights") or half > FAR_FACTOR * self.precision:
             more = max(self.mixture.learning_stages // 3, 1)
-            if more * 2 * method.rollouts + self.mixture.final_rollouts <= left:
+            if more * 2 * method.rollouts + least <= left:
                 return method.extended(stages=more, rollouts=2 * method.rollouts)
-        if math.isfinite(half):
-            wanted = drawn * ((half / self.precision) ** 2 - 1.0)
-            final = int(min(max(wanted, self.mixture.final_rollouts), left))
-            return replace(method, final_rollouts=max(final, self.mixture.final_rollouts))
-        return method
+        if not math.isfinite(half):
+            return replace(method, final_rollouts=least)
+        wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
+        return replace(method, final_rollouts=max(int(min(wanted, left)), least))
 
     def is_done(self, state: AutoState) -> bool:
         """Whether the answer is there."""
         if state.sizes:
             return len(state.plain) == state.first_counted + len(state.sizes)
-        if state.mixture is None or state.method is None:
-            return False
-        return state.method.is_done(state.mixture)
+        proposing = state.proposing
+        return proposing is not None and proposing.method.is_done(proposing.state)
 
     def estimate(self, state: AutoState) -> Estimate:
         """The plain count, or the estimate by proposals, held against the count.
@@ -220,9 +262,9 @@ class AutoSampling:
             ValueError: The last rollouts are not sampled yet.
         """
         counted = state.counted
-        if state.mixture is None or state.method is None:
+        if state.proposing is None:
             return monte_carlo_estimate(counted, method="monte-carlo")
-        found = state.method.estimate(state.mixture)
+        found = state.proposing.method.estimate(state.proposing.state)
         low, high = exact_interval(counted.failures, counted.count, confidence=PLAIN_CONFIDENCE)
         plain = plain_disagreement(
             found.probability, low=low, high=high, failures=counted.failures, rollouts=counted.count
@@ -233,25 +275,39 @@ class AutoSampling:
         """The same rollouts with the verdict of one rule."""
         own = [replace(part, weighed=part.weighed.under_rule(rule)) for part in state.plain]
         state = replace(state, plain=tuple(own))
-        if state.mixture is None or state.method is None:
+        if state.proposing is None:
             return state
-        return replace(state, mixture=state.method.under_rule(state.mixture, rule))
+        method, inner = state.proposing.method, state.proposing.state
+        return replace(state, proposing=Proposing(method, method.under_rule(inner, rule)))
 
     def pooled_log_weight(self, state: AutoState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts in order; NaN where one is not known."""
-        if state.mixture is None or state.method is None:
+        if state.proposing is None:
             return np.zeros(sum(part.weighed.count for part in state.plain))
-        return state.method.pooled_log_weight(state.mixture)
+        return state.proposing.method.pooled_log_weight(state.proposing.state)
 
     def kept_columns(self, state: AutoState) -> Mapping[str, AnyArray]:
         """What the method of proposals keeps of each rollout."""
-        if state.mixture is None or state.method is None:
+        if state.proposing is None:
             return {}
-        return state.method.kept_columns(state.mixture)
+        return state.proposing.method.kept_columns(state.proposing.state)
 
 
-def _half_width(found: Estimate) -> float:
-    """Of the interval, as a share of the estimate; infinite where there is none."""
-    if found.ci_low is None or found.ci_high is None or found.probability == 0.0:
-        return math.inf
-    return 0.5 * (found.ci_high - found.ci_low) / found.probability
+def _proposing_step(
+    problem: Problem, state: AutoState, proposing: Proposing
+) -> tuple[AutoState, StageResult]:
+    """The next stage of the method of proposals, numbered from the plain ones on."""
+    before = len(state.plain)
+
+    def finished(repetition: int, stage: int) -> FinishedStage | None:
+        return problem.finished(repetition, stage + before)
+
+    inner, result = proposing.method.step(replace(problem, finished=finished), proposing.state)
+    state = replace(state, proposing=replace(proposing, state=inner))
+    return state, replace(result, stage=result.stage + before)
+
+
+def _fewest_failures(problem: Problem, counted: WeighedRollouts) -> int:
+    """How many violate; of several rules, how many break the one that the fewest break."""
+    rules = stages.several_rules(problem)
+    return min([counted.under_rule(rule).failures for rule in rules] or [counted.failures])
