@@ -52,10 +52,19 @@ OWN_ALPHA_HINT = (
 )
 ALPHA_AT_FIRST = 0.1
 ALPHA_STEP, SIGMA_STEP = 0.01, 0.005
-MOST_MEMORY_S = limits("memory_s", step=0.0)[1]
-MOST_FRAILTY = limits("frailty", step=0.0)[1]
-TARGET_WORDS = " Empty: none."
 LEFT_OUT_WORDS = " Empty: left out."
+EMPTY = " Empty: none."
+TYPED = {
+    "precision": "precision",
+    "max_rollouts": "rollouts at most",
+    "max_minutes": "minutes at most",
+    "memory_s": "memory",
+    "frailty": "frailty",
+    "target": "target",
+    "encounters_per_hour": "encounters per hour",
+}
+"""Numbers that may be left out, by field: what messages call them."""
+MAY_BE_ZERO = ("memory_s", "frailty")
 WAITS = "Run waits until what is said below to be wrong is fixed."
 LIMIT_HINT = (
     "Limit of a gate: beside the answer it is told whether the upper 95 % bound stays below it, as "
@@ -65,7 +74,6 @@ RULES_HINT = (
     "Rules by name, a line NAME = FORMULA each, in place of the specification: each is answered, "
     "and any of them. Empty: the specification alone."
 )
-MOST_ENCOUNTERS = 1e6
 LARGEST_EXACT = 2**53 - 1  # a browser holds no larger whole number exactly
 
 
@@ -140,17 +148,20 @@ class ExperimentTab:
         settings = replace(
             self._base,
             **{name: control.value for name, control in self._plain.items()},
-            memory_s=read_number(self.memory.value, name="memory", most=MOST_MEMORY_S, zero=True),
-            frailty=read_number(self.frailty.value, name="frailty", most=MOST_FRAILTY, zero=True),
             alpha=None if own else alpha,
-            target=read_number(self.target.value, name="target"),
-            encounters_per_hour=read_number(
-                self.encounters.value, name="encounters per hour", most=MOST_ENCOUNTERS
-            ),
             rules=(),
+            **{name: self._typed_number(name) for name in TYPED},
         )
         settings = self.encounter.into(self.perception.into(settings))
         return settings.with_rules(self._rules())
+
+    def _typed_number(self, name: str) -> float | None:
+        """What was typed, left out what the configuration has then."""
+        most, zero = limits(name, step=0)[1], name in MAY_BE_ZERO
+        number = read_number(self._typed[name].value, name=TYPED[name], most=most, zero=zero)
+        if number is None:
+            return getattr(ExperimentConfig(), name)
+        return int(number) if name == "max_rollouts" else number
 
     def _rules(self) -> Mapping[str, str]:
         return read_rules([line for line in self.rules.value.splitlines() if line.strip()])
@@ -192,6 +203,10 @@ class ExperimentTab:
         self.stages = self._count("Stages", "stages")
         self.rollouts = self._count("Rollouts", "rollouts")
         self.final_rollouts = self._count("Final rollouts", "final_rollouts")
+        self._typed = {
+            name: gui.add_text(TYPED[name].capitalize(), "", hint=hint(name))
+            for name in ("precision", "max_rollouts", "max_minutes")
+        }
         self.seed = self._count("Seed", "seed")
         self.run.on_click(browser.on(self._run))
         self.stop.on_click(browser.on(browser.hub.controller.stop))
@@ -202,25 +217,24 @@ class ExperimentTab:
     def _add_specification(self) -> None:
         gui, browser = self._browser.client.gui, self._browser
         self.pem = gui.add_dropdown("Error model", tuple(shipped_pems()), hint=hint("pem"))
-        self.memory = gui.add_text("Memory [s]", "", hint=hint("memory_s") + LEFT_OUT_WORDS)
-        self.frailty = gui.add_text("Frailty", "", hint=hint("frailty") + LEFT_OUT_WORDS)
+        for name, label in (("memory_s", "Memory [s]"), ("frailty", "Frailty")):
+            self._typed[name] = gui.add_text(label, "", hint=hint(name) + LEFT_OUT_WORDS)
         self.simulator = gui.add_dropdown("Simulator", simulator_names(), hint=hint("simulator"))
         self.perception = PerceptionControls(gui, browser.on(self._choose_parts))
         self.encounter = EncounterControls(gui, browser.on(self._check))
         self.memory_curve = gui.add_checkbox("Memory curve", False, hint=hint("memory_curve"))
         self.reference = gui.add_checkbox("Reference", False, hint=hint("reference"))
-        self.target = gui.add_text("Target", "", hint=hint("target") + TARGET_WORDS)
-        self.encounters = gui.add_text(
-            "Encounters per hour", "", hint=hint("encounters_per_hour") + TARGET_WORDS
-        )
+        for name in ("target", "encounters_per_hour"):
+            words = hint(name) + EMPTY
+            self._typed[name] = gui.add_text(TYPED[name].capitalize(), "", hint=words)
         self.fail_above = gui.add_text("Fail above", "", hint=LIMIT_HINT)
         self.spec = gui.add_text("Specification", "", multiline=True, hint=hint("spec"))
         self.rules = gui.add_text("Rules", "", multiline=True, hint=RULES_HINT)
         self._verdict = gui.add_html("")
         self._facts = gui.add_html("")
         for typed in (
-            self.spec, self.rules, self.target, self.encounters, self.stages, self.rollouts,
-            self.final_rollouts, self.seed, self.memory, self.frailty,
+            self.spec, self.rules, self.stages, self.rollouts, self.final_rollouts, self.seed,
+            *self._typed.values(),
         ):  # fmt: skip
             typed.on_update(browser.on(self._check))
         for chosen in (self.simulator, self.reference):
@@ -260,11 +274,9 @@ class ExperimentTab:
         own = by_name(config.method).alpha
         self.alpha.value = config.alpha if config.alpha is not None else own or ALPHA_AT_FIRST
         self.rules.value = rules_text(config.rules)
-        for text, number in (
-            (self.target, config.target), (self.encounters, config.encounters_per_hour),
-            (self.memory, config.memory_s), (self.frailty, config.frailty),
-        ):  # fmt: skip
-            text.value = "" if number is None else f"{number:g}"
+        for name, text in self._typed.items():
+            number = getattr(config, name)
+            text.value = "" if number is None else f"{number:.15g}"
         self.encounter.fill(config)
         self.perception.fill(config)
         self._choose_parts()
@@ -282,10 +294,12 @@ class ExperimentTab:
             control.visible = shown
         logical_scenario = self.encounter.chosen
         self.perception.offer(self.simulator.value, errors=not logical_scenario)
-        for control in (self.frailty, self.memory_curve, self.reference):
+        for control in (self._typed["frailty"], self.memory_curve, self.reference):
             control.visible = not logical_scenario  # none with several obstacles, without a twin
         for name in ("stages", "rollouts", "final_rollouts"):
             self._plain[name].disabled = name not in used
+        for name in ("precision", "max_rollouts", "max_minutes"):
+            self._typed[name].visible = name in used
 
     def _judge(self) -> None:
         self._check()
@@ -305,15 +319,13 @@ class ExperimentTab:
     def _complaints(self) -> Iterator[str]:
         wrong = False
         yield from self._misunderstood()
-        for typed, name, most, zero in (
-            (self.target, "target", 1.0, False),
-            (self.encounters, "encounters per hour", MOST_ENCOUNTERS, False),
-            (self.fail_above, "fail above", 1.0, False),
-            (self.memory, "memory", MOST_MEMORY_S, True),
-            (self.frailty, "frailty", MOST_FRAILTY, True),
+        for text, words, name in (
+            *((self._typed[name], words, name) for name, words in TYPED.items()),
+            (self.fail_above, "fail above", "target"),
         ):
+            most, zero = limits(name, step=0)[1], name in MAY_BE_ZERO
             try:
-                read_number(typed.value, name=name, most=most, zero=zero)
+                read_number(text.value, name=words, most=most, zero=zero)
             except InputError as error:
                 wrong = True
                 yield str(error)
@@ -354,7 +366,7 @@ class ExperimentTab:
 
 
 def read_number(typed: str, *, name: str, most: float = 1.0, zero: bool = False) -> float | None:
-    """A number above 0, as a probability is, as it was typed; ``None`` for an empty field.
+    """A number above 0 as it was typed, 10% for 0.1; ``None`` for an empty field.
 
     Args:
         typed: What stands in the field.
@@ -367,8 +379,9 @@ def read_number(typed: str, *, name: str, most: float = 1.0, zero: bool = False)
     """
     if not typed.strip():
         return None
+    number, is_percentage = typed.strip().removesuffix("%"), typed.strip().endswith("%")
     try:
-        value = float(typed)
+        value = float(number) / (100.0 if is_percentage else 1.0)
     except ValueError:
         value = math.nan
     if not (0.0 < value <= most or (zero and value == 0.0)):

@@ -30,6 +30,7 @@ def test_probabilities_are_read_as_typed():
     assert read_number(" 1e-9 ", name="target") == 1e-9
     assert read_number("1", name="target") == 1.0
     assert read_number("  ", name="target") is None
+    assert read_number("12.5 %", name="precision") == 0.125
 
 
 def test_everything_that_is_wrong_with_what_was_typed_is_told():

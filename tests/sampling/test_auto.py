@@ -13,6 +13,7 @@ from pemviz.reports.safety_case import _sampling_step
 from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.auto import method
 from pemviz.sampling.estimates.diagnostics import plain_disagreement
 from pemviz.sampling.problem import FinishedStage
 from tests.latent_toys import Drift
@@ -84,6 +85,63 @@ def test_a_repetition_goes_on_to_the_last_bit_from_what_is_left(system, stops):
     assert whole.method.estimate(again) == whole.method.estimate(state)
 
 
+class Slow:
+    """A clock on which every look takes so long, in place of the machine's."""
+
+    def __init__(self, look_s):
+        self.now_s, self.look_s = 0.0, look_s
+
+    def perf_counter(self):
+        self.now_s += self.look_s
+        return self.now_s
+
+
+@pytest.mark.parametrize("system", [RARE, OFTEN])
+def test_minutes_end_it_with_an_answer_and_a_run_that_goes_on_decides_as_it_would_have(
+    system, monkeypatch
+):
+    """Each stage takes ten seconds of the clock at least; a minute is over after few of them."""
+    monkeypatch.setattr(method, "time", Slow(10.0))
+    whole = experiment(*system, seed=3, precision=0.02, max_minutes=1.0, chains=0)
+    state, results = stepped_through(whole.method, whole.problem)
+    assert len(results) <= 7
+    found = whole.method.estimate(state)
+    assert found.probability == pytest.approx(toy_probability_by_recursion(*system), rel=0.6)
+
+    monkeypatch.setattr(method, "time", Slow(0.001))
+    left = {
+        result.stage: FinishedStage(result.scored, result.kept, result.sampled)
+        for result in results[:-1]
+    }
+    problem = replace(whole.problem, finished=lambda _, stage: left.get(stage))
+    again, _ = stepped_through(whole.method, problem)
+    assert whole.method.estimate(again) == found
+
+
+def test_time_that_is_over_before_anything_violates_leaves_the_counts_upper_bound(monkeypatch):
+    monkeypatch.setattr(method, "time", Slow(10.0))
+    found = run(experiment(*RARE, seed=3, max_minutes=0.1)).estimate
+    assert found.method == "monte-carlo"
+    assert found.failures == 0
+    assert found.ci_high == pytest.approx(1.0 - 0.025 ** (1.0 / found.rollouts_simulated))
+
+
+def test_the_rarest_rule_decides_whether_counting_pays():
+    """One rule is broken by every second rollout, the other by one in a hundred thousand."""
+    simulator, pem = RARE
+    last = simulator.states - 1
+    often, rare = f"always[0,{last}] (gap >= 3.5)", f"always[0,{last}] (gap >= 0.5)"
+    chosen = {}
+    for name, formulas in {"both": {"often": often, "rare": rare}, "one": {"often": often}}.items():
+        config = ExperimentConfig(method="auto", seed=1).with_rules(formulas)
+        result = run(build_experiment(config, simulator=simulator, pem=pem))
+        chosen[name] = result.estimate.method
+        exact = toy_probability_by_recursion(*RARE)
+        if name == "both":
+            assert result.rules[1].estimate.probability == pytest.approx(exact, rel=0.6)
+    assert chosen == {"both": "mixture", "one": "monte-carlo"}
+
+
 def test_two_sides_of_random_starts_and_noise_are_both_found():
     """Misses apart, |distance| over a limit has two modes that are equally likely."""
     drift = Drift(states=9)
@@ -91,7 +149,7 @@ def test_two_sides_of_random_starts_and_noise_are_both_found():
     exact = 2.0 * stats.norm.sf(4.5)
     last = drift.states - 1
     spec = f"eventually[{last},{last}] (distance <= {limit!r} and distance >= {-limit!r})"
-    for seed in range(5):
+    for seed in range(2):
         config = ExperimentConfig(method="auto", spec=spec, seed=seed)
         found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
         assert found.probability == pytest.approx(exact, rel=0.5)
@@ -108,25 +166,41 @@ def test_an_answer_that_plain_rollouts_contradict_is_told():
 
 def test_a_closed_form_on_either_side_of_the_choice():
     """From a probability of 0.4 to one of 1e-7; 0.4 apart is 4 of the errors asked for."""
-    for miss, method in ((0.25, "monte-carlo"), (0.001, "mixture")):
+    for miss, chosen in ((0.25, "monte-carlo"), (0.001, "mixture")):
         exact = exact_failure_probability(steps=12, miss_probability=miss)
         simulator = MissCounter(states=13)
         config = ExperimentConfig(method="auto", spec="always[0,12] (gap >= 0)", seed=5)
         result = run(build_experiment(config, simulator=simulator, pem=ConstantPem(miss)))
-        assert result.estimate.method == method
+        assert result.estimate.method == chosen
         assert result.estimate.probability == pytest.approx(exact, rel=0.4)
 
 
 @pytest.mark.parametrize(("system", "chosen"), [(OFTEN, "monte-carlo"), (RARE, "mixture")])
 def test_what_was_chosen_is_told(system, chosen):
     result = run(experiment(*system, seed=2))
-    assert f"auto, which chose {chosen}:" in summary_text(result)
+    told = summary_text(result)
+    assert f"auto, which chose {chosen}:" in told
+    first, half = result.stages[0], result.estimate.relative_half_width
+    assert f"{first.failures} of the first {first.rollouts} plain rollouts violate" in told
+    assert f"+- {100 * half:.{1 if half < 0.1 else 0}f} %, 20 % asked for" in told
     assert f"method {chosen} " in _sampling_step(result).lower()
 
 
 def test_fewer_at_most_than_it_begins_with_are_refused():
     with pytest.raises(ConfigError, match=r"^max_rollouts = 100: must be at least the 1200 that"):
         experiment(*RARE, max_rollouts=100)
+
+
+@pytest.mark.parametrize(
+    ("settings", "by"),
+    [({"max_rollouts": 1_300}, "max_rollouts 1300"), ({"max_minutes": 1e-6}, "max_minutes 1e-06")],
+)
+def test_what_stopped_it_is_told(settings, by):
+    often = {"precision": 0.001} if "max_minutes" in settings else {"precision": 0.02}
+    system = OFTEN if "max_minutes" in settings else RARE
+    result = run(experiment(*system, seed=1, **often, **settings))
+    assert result.estimate.relative_half_width > often["precision"]
+    assert f"and stopped by {by}" in summary_text(result)
 
 
 def test_a_percentage_is_a_share():
