@@ -29,9 +29,10 @@ def sample_config() -> ExperimentConfig:
     paper = load_preset("paper")
     return replace(
         paper,
-        stages=5,
+        stages=4,
         rollouts=26,
         final_rollouts=18,
+        precision=1.0,
         seed=15,
         memory_s=0.0,
         frailty=0.0,

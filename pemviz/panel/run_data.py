@@ -180,7 +180,9 @@ class RunData:
     def method(self) -> MethodDescription:
         """What gave the answer: of one that chooses another, that, once it has chosen."""
         method, estimate = by_name(self.config.method), self.result.estimate
-        return by_name(estimate.method) if method.goes_on and estimate is not None else method
+        if estimate is None or method.most is None:
+            return method
+        return by_name(estimate.method)
 
     @cached_property
     def simulator(self) -> Simulator | SlotSimulator:

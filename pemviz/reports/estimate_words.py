@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.runs.result import PemInfo, RunResult
-from pemviz.sampling.auto.description import most_rollouts
 from pemviz.sampling.estimates.trust import rests_on_weights
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
@@ -145,19 +144,20 @@ def chosen_text(result: RunResult) -> str | None:
     For instance '0 of the first 240 plain rollouts violate; +- 9.8 %, 20 % asked for'.
     """
     config, estimate = result.config, result.estimate
-    if estimate is None or not result.stages or not by_name(config.method).goes_on:
+    most = by_name(config.method).most
+    if estimate is None or not result.stages or most is None:
         return None
-    first, asked = result.stages[0], f"{100.0 * config.precision:.3g} % asked for"
-    words = f"{first.failures} of the first {first.rollouts} plain rollouts violate"
-    half = estimate.relative_half_width
-    if not math.isfinite(half):
-        return f"{words}; no interval, +- {asked}"
-    words += f"; +- {100.0 * half:.{1 if half < 0.1 else 0}f} %, {asked}"
+    first, half = result.stages[0], estimate.relative_half_width
+    reached = f"+- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
+    words = (
+        f"{first.failures} of the first {first.rollouts} plain rollouts violate; "
+        f"{reached if math.isfinite(half) else 'no interval'}, {100.0 * config.precision:.3g} % "
+        "asked for"
+    )
     if half <= config.precision:
         return words
-    most = most_rollouts(config)
-    if estimate.rollouts_simulated >= most:
-        return f"{words}, and stopped by max_rollouts {most}"
+    if estimate.rollouts_simulated >= most(config):
+        return f"{words}, and stopped by max_rollouts {most(config)}"
     stopped = config.max_minutes is not None
     return f"{words}, and stopped by max_minutes {config.max_minutes:g}" if stopped else words
 

@@ -29,7 +29,7 @@ from pemviz.runs.rollout_files import ROLLOUTS_FILE, stage_files
 CONFIG = "config.toml"
 
 
-def read_result(folder: Path, *, most_bytes: float = math.inf) -> RunResult:
+def read_result(folder: Path | str, *, most_bytes: float = math.inf) -> RunResult:
     """The result that a run folder holds, held to itself and to the folder's other files.
 
     Figures must agree with each other, settings with ``config.toml``, estimates with those formed
@@ -44,6 +44,7 @@ def read_result(folder: Path, *, most_bytes: float = math.inf) -> RunResult:
         UnreadableResultError: ``result.json`` is no JSON document.
         InputError: Something is damaged, or does not agree; one line names it.
     """
+    folder = Path(folder)
     kept = read_kept(folder)
     wrong = next(_disagreements(kept, folder, most_bytes), None)
     if wrong is not None:

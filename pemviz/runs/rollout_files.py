@@ -278,7 +278,8 @@ def join_parts(
     Args:
         parts: The stages' files.
         target: The file.
-        columns: What the method keeps of all rollouts that each stage sampled, in that order.
+        columns: What the method keeps of all rollouts that each stage sampled, in that order; of
+            what it keeps of some stages alone the others have NaN, or -1.
     """
 
     def write(stream: IO[bytes]) -> None:
@@ -301,12 +302,14 @@ def join_parts(
             for name in names:
                 with entry(name) as content:
                     _join_array(content, name, stages, rows=rows)
-            for name in columns[0] if columns else ():
+            for name, kind in {n: v.dtype for values in columns for n, v in values.items()}.items():
                 held: list[AnyArray] = []
                 for stage, values in zip(stages, columns, strict=True):
                     with stage() as arrays:
+                        count = arrays["repetition"].shape[0]
                         rows = arrays[ROLLOUT] if ROLLOUT in arrays else slice(None)
-                        held.append(values[name][rows])
+                    unknown = np.full(count, np.nan if kind.kind == "f" else -1, dtype=kind)
+                    held.append(values[name][rows] if name in values else unknown)
                 with entry(f"{COLUMN}{name}") as content:
                     npy.write_array(content, np.concatenate(held), version=(2, 0))
 

@@ -70,7 +70,8 @@ class MethodDescription:
             has been reached on the way to a violation.
         follows_model: Whether rollouts are drawn from the error model itself.
         curve_name: What the proposal is called where it is drawn; ``None``: that of a stage.
-        goes_on: Whether ``budget`` is what it begins with: it goes on until its answer is precise.
+        most: Configuration to the rollouts at most of a method that goes on until its answer is
+            precise, so that ``budget`` is what it begins with; ``None``: it does not.
         learning_words: What there is to see of the proposal, in a few sentences.
     """
 
@@ -93,7 +94,7 @@ class MethodDescription:
     counting: Counting = "rollouts"
     follows_model: bool = False
     curve_name: str | None = None
-    goes_on: bool = False
+    most: Callable[[ExperimentConfig], int] | None = None
     learning_words: str = LEARNING_WORDS
 
     def __post_init__(self) -> None:

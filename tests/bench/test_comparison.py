@@ -158,7 +158,8 @@ def test_the_loop_and_its_limit_are_timed():
 
 
 def test_a_whole_run_is_timed_beside_plain_rollouts():
-    config = replace(load_preset("paper"), rollouts=20, stages=2, final_rollouts=20, plan=False)
+    few = {"method": "mixture", "rollouts": 20, "stages": 2, "final_rollouts": 20}
+    config = replace(load_preset("paper"), plan=False, **few)
     ratio = comparison.run_ratio(config, turns=1)
     assert ratio.name == "mixture, 80 rollouts"
     assert 0.0 < ratio.value < 1.0

@@ -61,8 +61,9 @@ def test_what_is_counted_is_said():
 
 def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch):
     config = ExperimentConfig(
-        scenario=EASY, spec="always[0,44] (gap >= 7.0)", stages=10, rollouts=4, final_rollouts=4
-    )
+        method="mixture", scenario=EASY, spec="always[0,44] (gap >= 7.0)",
+        stages=10, rollouts=4, final_rollouts=4,
+    )  # fmt: skip
     for silent_s, told in ((30.0, [2, 5, 8, 11]), (-1.0, list(range(12)))):
         monkeypatch.setattr("pemviz.cli.progress.SILENT_S", silent_s)
         shown = io.StringIO()

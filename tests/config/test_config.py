@@ -32,7 +32,7 @@ def test_presets_are_the_designs():
         assert f"always[0,{config.encounter.states - 1}]" in config.rules[0].formula
     assert load_preset("paper-algorithm") == ExperimentConfig(method="adaptive")
     assert paper == ExperimentConfig(plan=True)
-    assert paper.method == "mixture"
+    assert paper.method == "auto"
     assert paper.scenario.initial_speed_mps == pytest.approx(70 / 3.6)
     assert town.scenario == replace(
         paper.scenario,

@@ -105,7 +105,7 @@ def result(one=None, *, repetitions=1, **changes):
     base = RunResult(
         run_id="20260101-000000-adaptive",
         status="done",
-        config=ExperimentConfig(method="adaptive", repetitions=repetitions),
+        config=ExperimentConfig(method=one.method, repetitions=repetitions),
         pem=PemInfo(name="ml-nn", digest="ab" * 32, data="37498 obstacles"),
         versions={"pemviz": "0.1.0", "numpy": "2.3.0"},
         assumptions=("misses are independent",),

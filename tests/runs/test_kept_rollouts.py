@@ -17,7 +17,9 @@ from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out
 from tests.faults.test_resume import StopAfter, contents, folder_of
 
-ALL = ExperimentConfig(stages=1, rollouts=60, final_rollouts=240, seed=4, memory_s=0.2)
+ALL = ExperimentConfig(
+    method="mixture", stages=1, rollouts=60, final_rollouts=240, seed=4, memory_s=0.2
+)
 CONFIGS = {"all": ALL, "violations": replace(ALL, keep="violations")}
 
 

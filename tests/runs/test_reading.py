@@ -93,8 +93,16 @@ def test_results_of_older_versions_are_held_as_far_as_they_go(folder, tmp_path, 
     assert words == expected
 
 
+def test_repetitions_that_choose_different_methods_are_each_formed_again(folder):
+    kept = folder("rules", "auto")
+    methods = [one.method for one in read_result(kept).repetitions]
+    assert sorted(methods) == ["mixture", "monte-carlo"]
+    assert_recounted(kept)
+
+
 def test_the_shipped_sample_is_believed():
     assert pemviz.read_result(sample_run()).status == "done"
+    assert pemviz.read_result(str(sample_run())) == pemviz.read_result(sample_run())
 
 
 def test_an_unfinished_run_is_read(tmp_path):
@@ -137,7 +145,7 @@ def test_large_files_are_left_to_another_look(folder, tmp_path):
 OTHER = {
     str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
     "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
-    "keep": "violations", "carla": "x", "chains": 77, "max_rollouts": 777,
+    "keep": "violations", "carla": "x", "chains": 77, "max_rollouts": 777, "max_minutes": 7.5,
     "memory_s": 0.5, "frailty": 0.5,
 }  # fmt: skip
 

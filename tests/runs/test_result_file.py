@@ -32,7 +32,8 @@ from tests.reports.runs import result as made_up_result
 from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
-    r"message|config\.(target|alpha|chains|max_rollouts|memory_s|frailty)|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
+    r"message|config\.(target|alpha|chains|max_rollouts|max_minutes|memory_s|frailty)"
+    r"|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
     r"|memory\.fitted\.frailty(_low|_high)?"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"

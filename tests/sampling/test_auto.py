@@ -120,8 +120,10 @@ def test_minutes_end_it_with_an_answer_and_a_run_that_goes_on_decides_as_it_woul
 
 def test_time_that_is_over_before_anything_violates_leaves_the_counts_upper_bound(monkeypatch):
     monkeypatch.setattr(method, "time", Slow(10.0))
-    found = run(experiment(*RARE, seed=3, max_minutes=0.1)).estimate
+    result = run(experiment(*RARE, seed=3, max_minutes=0.1))
+    found = result.estimate
     assert found.method == "monte-carlo"
+    assert "no interval, 20 % asked for, and stopped by max_minutes 0.1" in summary_text(result)
     assert found.failures == 0
     assert found.ci_high == pytest.approx(1.0 - 0.025 ** (1.0 / found.rollouts_simulated))
 

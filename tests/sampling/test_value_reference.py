@@ -243,7 +243,9 @@ def test_the_reference_stops_too(answer):
 def test_a_system_without_a_twin_is_gone_through_itself_where_its_states_are_few():
     """Within a fifth of the steps that rollouts took; with latents, or more states, it is not."""
     experiment = build_experiment(
-        ExperimentConfig(spec=f"always[0,{SIMULATOR.states - 1}] (gap >= 0.5)", seed=3),
+        ExperimentConfig(
+            method="mixture", spec=f"always[0,{SIMULATOR.states - 1}] (gap >= 0.5)", seed=3
+        ),
         simulator=SIMULATOR,
         pem=ToyPem(),
     )

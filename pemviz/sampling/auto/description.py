@@ -68,12 +68,12 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
 
 
 def _recounted(kept: KeptRepetition) -> Recounted:
-    """As the method that was chosen has it: proposals keep what each violation came from."""
+    """As the method that was chosen has it: a count learns nothing."""
     from pemviz.sampling.mixture import estimate  # noqa: PLC0415  slow to import
 
-    if kept.column(estimate.COMPONENT) is None:
-        return counted(replace(kept, method="monte-carlo"))
-    return estimate.recounted(replace(kept, method="mixture"))
+    if any(stage.kind == "learn" for stage in kept.stages):
+        return estimate.recounted(replace(kept, method="mixture"))
+    return counted(replace(kept, method="monte-carlo"))
 
 
 AUTO = MethodDescription(
@@ -99,5 +99,5 @@ AUTO = MethodDescription(
     ),
     budget=learning_budget,
     with_budget=_with_budget,
-    goes_on=True,
+    most=most_rollouts,
 )

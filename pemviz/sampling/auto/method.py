@@ -192,8 +192,9 @@ class AutoSampling:
     def _decided(self, problem: Problem, state: AutoState) -> AutoState:
         """After plain rollouts: more to see their share, all that a count takes, or proposals."""
         if self._left_s(state) <= 0.0:
-            counted = [part.weighed.count for part in state.plain[state.first_counted :]]
-            return replace(state, sizes=tuple(counted))
+            first = state.first_counted if state.sizes else len(state.plain) - 1
+            counted = [part.weighed.count for part in state.plain[first:]]
+            return replace(state, sizes=tuple(counted), first_counted=first)
         so_far = state.counted
         failures, count = _fewest_failures(problem, so_far), so_far.count
         if 0 < failures < FEW_FAILURES and count < self.most_looked_at:
@@ -223,7 +224,7 @@ class AutoSampling:
             method = self._gone_on(state, method, inner)
         elif state.seconds and self._left_s(state) < 2.0 * state.seconds[-1]:
             # what is learned from next is the last, as the stage that counts needs time too
-            method = replace(method, learning_stages=inner.stage)
+            method = replace(method, learning_stages=max(inner.stage, 1))
         return replace(state, proposing=replace(proposing, method=method))
 
     def _gone_on(
