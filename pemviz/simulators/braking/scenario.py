@@ -11,7 +11,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.simulators.measurement_errors import MeasurementNoise, PositionErrors
-from pemviz.simulators.tracking.tracker import Tracker, tracker_of_text
+from pemviz.simulators.tracking.tracker import Tracker, TrackerState, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
 GAP = "gap"
@@ -165,8 +165,11 @@ class BrakingFeatures:
     def values(self, states: StateBatch) -> FloatArray:
         """Gap [m], closing speed [m/s] and time [s] of states ``[...]``, as ``[..., 3]``.
 
-        With errors of the measured gap the noise that the states carry is a fourth; with a tracker
-        there is also what :meth:`Tracker.numbers` gives.
+        With errors of the measured gap the noise that the states carry is a fourth. With a tracker
+        there is also what :meth:`Tracker.numbers` gives, but in place of the track's hits whether
+        the outcome decides over the emergency brake at once: a polynomial of the gap cannot turn
+        from one step to the next, and where a track coasts beyond the emergency gap that is where
+        errors begin to matter.
         """
         gap_m = states.signals[GAP]
         columns = [gap_m, states.signals[EGO_SPEED] - states.signals[LEAD_SPEED]]
@@ -174,12 +177,22 @@ class BrakingFeatures:
         if self.errors is not None:
             columns += gap_noise(self.config, self.errors).values(states.memory)
         if self.tracker is not None:
-            columns += self.tracker.numbers(self.tracker.state(states.memory))
+            tracks = self.tracker.state(states.memory)
+            columns += [self._decides(tracks, gap_m), *self.tracker.numbers(tracks)[1:]]
         shape = (*gap_m.shape, len(columns))
         values = np.empty(shape, dtype=np.float64)
         for place, column in enumerate(columns):
             values[..., place] = column
         return values
+
+    def _decides(self, tracks: TrackerState, gap_m: FloatArray) -> BoolArray:
+        """Whether a hit at gaps ``[...]`` brakes and a miss does not, or the other way round."""
+        assert self.tracker is not None  # noqa: S101  there are tracks
+        here_m, braked = gap_m[..., None], []
+        for outcome in (True, False):
+            after = self.tracker.update(tracks, np.full(gap_m.shape, outcome), here_m)
+            braked.append(brakes(after.confirmed, after.position_m[..., 0], self.config))
+        return braked[0] != braked[1]
 
     def reacts(self, states: StateBatch) -> BoolArray:
         """Whether a detection at states ``[...]`` would trigger the emergency brake.
