@@ -63,17 +63,23 @@ def test_is_short(path):
     "path",
     [pytest.param(p, marks=[pytest.mark.slow] * (p == HIGHWAY), id=p.stem) for p in EXAMPLES],
 )
-def test_runs(path):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", str(path)],
-        capture_output=True, text=True, check=False, cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+def test_runs(path, capsys):
+    """One in a process of its own, as a user runs them; the others share what is imported here."""
+    if path.stem == "episodic":
+        done = subprocess.run(
+            [sys.executable, "-W", "error", str(path)],
+            capture_output=True, text=True, check=False, cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        printed = done.stdout
+    else:
+        runpy.run_path(str(path), run_name="__main__")
+        printed = capsys.readouterr().out
     for words in ("95 % interval", "violate ", "least robust rollout: violates"):
-        assert words in done.stdout
-    assert "do not quote" not in done.stdout
-    assert "too heavy" not in done.stdout
+        assert words in printed
+    assert "do not quote" not in printed
+    assert "too heavy" not in printed
 
 
 def test_mixture_agrees_with_plain_monte_carlo(drone):

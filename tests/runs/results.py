@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Union, get_args, get_origin, get_type_hin
 from hypothesis import strategies as st
 
 from pemviz.analysis.explanation import Explanation
-from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.config import METHODS, ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import EncounterConfig
 from pemviz.config.ranges import NamedPart, Range
 from pemviz.config.settings import RULE_NAME, SumoConfig
@@ -56,6 +56,8 @@ def numbers(base, limits):
 def plainly(kind, **chosen):
     """A record of any values, but for the fields chosen."""
     hints = get_type_hints(kind, include_extras=True)
+    if hints.get("method") is str:  # of an estimate; the last is of no package here
+        chosen.setdefault("method", st.sampled_from((*METHODS.shipped, "moved ☂")))
     drawn = {f.name: anything(hints[f.name]) for f in fields(kind) if f.name not in chosen}
     return st.builds(kind, **drawn, **chosen)
 

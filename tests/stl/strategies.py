@@ -1,5 +1,7 @@
 """Random formulas, and rollouts that fit them."""
 
+from functools import cache
+
 import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -41,12 +43,10 @@ predicates = st.builds(fo.Predicate, expressions, comparisons, st.one_of(constan
 deep_predicates = st.builds(fo.Predicate, deep_expressions, comparisons, deep_expressions)
 
 
-@st.composite
-def intervals(draw):
-    first = draw(st.integers(0, 3))
-    return first, first + draw(st.integers(0, 5))
+intervals = st.tuples(st.integers(0, 3), st.integers(0, 5)).map(lambda p: (p[0], p[0] + p[1]))
 
 
+@cache  # a strategy is examined once, not again for every example
 def formulas(depth=4, atoms=predicates, *, truth=True):
     """Formulas of at most ``depth`` operators on top of each other."""
     leaves = st.one_of(atoms, atoms, atoms, st.just(fo.Truth())) if truth else atoms
@@ -54,11 +54,11 @@ def formulas(depth=4, atoms=predicates, *, truth=True):
         return leaves
     parts = st.deferred(lambda: formulas(depth - 1, atoms, truth=truth))
     few = st.lists(parts, min_size=2, max_size=3).map(tuple)
-    timed = st.tuples(intervals(), parts)
+    timed = st.tuples(intervals, parts)
     return st.one_of(
         timed.map(lambda p: fo.Always(*p[0], p[1])),
         timed.map(lambda p: fo.Eventually(*p[0], p[1])),
-        st.tuples(intervals(), parts, parts).map(lambda p: fo.Until(*p[0], p[1], p[2])),
+        st.tuples(intervals, parts, parts).map(lambda p: fo.Until(*p[0], p[1], p[2])),
         few.map(fo.And),
         few.map(fo.Or),
         st.builds(fo.Implies, parts, parts),

@@ -70,7 +70,7 @@ def test_fuzz_at_length():
 
 
 @pytest.mark.parametrize("piece", ["(", "not ", "-", "always[0,1] ", "abs(", "x>1 -> ", "min(x,"])
-@pytest.mark.parametrize("count", [10, 1000, 14_000])
+@pytest.mark.parametrize("count", [10, 1000, 5000])
 def test_deep_nesting_is_an_error_not_a_crash(piece, count):
     closing = ")" * count if piece.endswith(("(", ",")) else ""
     for text in (piece * count, piece * count + "x" + closing, piece * count + "x > 1" + closing):

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.main import main
+from pemviz.sweep.run_task import carry_out
 from tests.comparable_results import comparable_result
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,6 +19,32 @@ seed = 3
 VARIED = ["--vary", "alpha=0.1,0.5", "--vary", "metric=agm", "--seeds", "2"]
 
 
+class InThisProcess:
+    """Workers that carry a run out when its outcome is wanted; no process has to be started."""
+
+    def __init__(self, count):
+        self.capacity = count
+        self._waiting = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    def submit(self, task):
+        self._waiting.append(task)
+
+    def finished(self, *, timeout_s):
+        return [carry_out(self._waiting.pop(0))]
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """What is not about processes is tried without."""
+    monkeypatch.setattr("pemviz.cli.sweep.LocalWorkers", InThisProcess)
+
+
 @pytest.fixture
 def tiny(tmp_path) -> Path:
     """A configuration that runs in a fraction of a second."""
@@ -28,12 +55,14 @@ def tiny(tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def serial(tmp_path_factory) -> Path:
-    """The folder of a sweep of four runs, one after the other in one process."""
+    """The folder of a sweep of four runs, one after the other in this process."""
     folder = tmp_path_factory.mktemp("serial")
     config = folder / "tiny.toml"
     config.write_text(TINY)
     words = [str(config), *VARIED, "--workers", "1", "--out", str(folder / "out")]
-    assert main(["sweep", *words]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pemviz.cli.sweep.LocalWorkers", InThisProcess)
+        assert main(["sweep", *words]) == 0
     return folder / "out"
 
 

@@ -101,7 +101,8 @@ def test_the_overview_shows_every_estimate(serial):
         assert (page, "text") in found
 
 
-def test_json_is_the_table_and_nothing_else(serial, tiny, tmp_path, capsys):
+@pytest.mark.usefixtures("in_this_process")
+def test_json_is_the_table_and_nothing_else(tiny, tmp_path, capsys):
     words = ["--vary", "method=naive", "--seeds", "2", "--json", "--workers", "1"]
     assert sweep(tiny, tmp_path / "out", *words) == 0
     document = json.loads(capsys.readouterr().out)
@@ -109,7 +110,8 @@ def test_json_is_the_table_and_nothing_else(serial, tiny, tmp_path, capsys):
     assert document == {"schema": 1, "out": str(tmp_path / "out"), "runs": table}
 
 
-def test_done_runs_are_skipped_and_damaged_ones_done_again(serial, tiny, tmp_path, capsys):
+@pytest.mark.usefixtures("in_this_process")
+def test_done_runs_are_skipped_and_damaged_ones_done_again(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     words = ["--vary", "method=naive,monte-carlo", "--seeds", "2", "--workers", "1"]
     assert sweep(tiny, out, *words) == 0
@@ -128,6 +130,7 @@ def test_done_runs_are_skipped_and_damaged_ones_done_again(serial, tiny, tmp_pat
     assert (folders[3] / "result.json").stat().st_mtime_ns == untouched
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_keep_all_brings_back_whole_run_folders(tiny, tmp_path, capsys):
     words = ["--vary", "method=naive", "--workers", "1"]
     assert sweep(tiny, tmp_path / "out", *words) == 0
@@ -139,6 +142,7 @@ def test_keep_all_brings_back_whole_run_folders(tiny, tmp_path, capsys):
     assert "1 of 1 runs are done already" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_an_error_model_of_ones_own_travels_with_the_run(tiny, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model = tmp_path / "mine.csv"
@@ -187,6 +191,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, wo
     assert not (tmp_path / "out" / "sweep.csv").exists()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_run_that_fails_is_told_tried_again_and_the_rest_goes_on(tiny, tmp_path, capsys):
     out = tmp_path / "out"
     words = ["--vary", "batch_time_limit_s=1e-9,600", "--vary", "method=naive", "--workers", "1"]
@@ -287,6 +292,7 @@ def test_a_sweep_killed_outright_leaves_no_process_behind(tiny, tmp_path):
     assert left == []
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_run_that_was_edited_is_named_and_carried_out_again(tiny, tmp_path, capsys, caplog):
     words = ["--vary", "method=monte-carlo", "--seeds", "2", "--workers", "1"]
     assert sweep(tiny, tmp_path, *words) == 0
