@@ -1,6 +1,8 @@
 """The problems, where they are published, and how likely each fails; without pemviz."""
 
+import importlib.util
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from benchmarks.external.motions import Motion
@@ -27,6 +29,7 @@ class Problem:
         relative_error: Standard error of the truth as a share of it; 0 where it is exact.
         how: How it was found.
         twin: Whether pemviz is told that the simulator is fast, so that it may run through states.
+        needs: Modules that its simulator is of; those of :data:`REQUIREMENTS` install them.
     """
 
     name: str
@@ -36,8 +39,15 @@ class Problem:
     relative_error: float = 0.0
     how: str
     twin: bool = False
+    needs: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> Sequence[str]:
+        """Modules that it needs and that are not installed."""
+        return [name for name in self.needs if importlib.util.find_spec(name) is None]
 
 
+REQUIREMENTS = "benchmarks/external/requirements.txt"
 OTBENCHMARK = "openturns/otbenchmark"
 PLANE = "quadrature over angles and columns"
 TRUTHS: Mapping[str, tuple[str, float, float, str]] = {
@@ -175,3 +185,9 @@ def problems() -> Sequence[Problem]:
         for name, (source, truth, error, how) in TRUTHS.items()
     ]
     return (*static, *SEQUENTIAL)
+
+
+def named(name: str) -> AbstractSet[str]:
+    """Problems that have this name; where none has, those whose names begin so."""
+    every = [one.name for one in problems()]
+    return {name} if name in every else {one for one in every if one.startswith(name)}

@@ -6,6 +6,10 @@ Run by an interpreter of its own, from a checkout's root, without pemviz::
     otenv/bin/python -m benchmarks.external.others --out others/runs.jsonl --budget 1200 20000
     python -m benchmarks external --others others/runs.jsonl
 
+or by one command, at as many calls as a method of pemviz took on each problem::
+
+    python -m benchmarks external --method auto --others-python otenv/bin/python
+
 Each method is at its authors' settings: quantile levels of 10 %, and what their examples and
 defaults have. A method whose number of calls follows from a sample size is given the size that
 brings a first run, which does not count, to the budget; FORM with importance sampling spends it.
@@ -20,21 +24,25 @@ import io
 import signal
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.external.catalogue import Problem, problems
+from benchmarks.external.catalogue import Problem, named, problems
 from benchmarks.external.motions import LimitFunction, Numbers, dimension, limit_function
-from benchmarks.external.record import Run, add_run, read_runs
+from benchmarks.external.record import DONE, ENDLESS, Run, add_run, as_took, read_runs
 
 LEVEL = 0.1
 """Quantile of the intermediate levels of subset sampling, NAIS and cross-entropy."""
 MANY = 20
 """From so many dimensions on methods of ``rareeventestimation`` take what is made for many."""
+CHAINS = 0.1
+"""Chains of sequential importance sampling, as a share of its sample: its default."""
+TOO_LONG = 2
+"""So many runs of a method took too long on a problem: no more of them are begun."""
 OPENTURNS, REE = "OpenTURNS", "rareeventestimation"
 PACKAGES = (OPENTURNS.lower(), REE)
 
@@ -172,7 +180,8 @@ def cbree(function: Counted, size: int, seed: int) -> Answer:
 def sis(function: Counted, size: int, seed: int) -> Answer:
     """Sequential importance sampling (Papaioannou, Papadimitriou, Straub 2016)."""
     model = _many(function, "GM", "aCS")
-    return _ree("SIS", function, size, seed, mixture_model=model)
+    whole = next(n for n in range(size, 0, -1) if (CHAINS * n).is_integer())  # or it refuses
+    return _ree("SIS", function, whole, seed, mixture_model=model)
 
 
 def enkf(function: Counted, size: int, seed: int) -> Answer:
@@ -225,12 +234,14 @@ class Task:
         problem: The problem.
         name: The method's name.
         budget: Calls.
+        label: What that budget is called.
         limit_s: A run that takes more processor time is ended [s].
     """
 
     problem: Problem
     name: str
     budget: int
+    label: str
     limit_s: int
 
     def size(self) -> int:
@@ -254,7 +265,7 @@ class Task:
         run = Run(
             problem=self.problem.name,
             method=self.name,
-            budget=str(self.budget),
+            budget=self.label,
             seed=seed,
             estimate=None,
         )
@@ -262,7 +273,7 @@ class Task:
             with within(self.limit_s):
                 answer = METHODS[self.name](function, size, seed)
         except TooLongError:
-            run = replace(run, warned=(f"took longer than {self.limit_s} s",))
+            run = replace(run, warned=(f"{ENDLESS} {self.limit_s} s",))
         except Exception as error:
             run = replace(run, warned=(f"{type(error).__name__}: {str(error)[:200]}",))
         else:
@@ -277,36 +288,68 @@ class Task:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Carry out what is not in the file yet."""
+    """Carry out what is not in the file yet, what takes few calls first."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="the file that runs are added to")
     parser.add_argument("--problems", nargs="*", default=[], help="names, or how they begin")
     parser.add_argument("--methods", nargs="*", default=list(METHODS), help=", ".join(METHODS))
     parser.add_argument("--budget", nargs="*", type=int, default=[1200, 20_000], help="calls")
+    parser.add_argument("--like", type=Path, help="a file of runs: budgets are what they took")
+    parser.add_argument("--like-method", default="auto", help="runs of which method")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--limit-s", type=int, default=120, help="a run that takes longer is ended")
     given = parser.parse_args(words)
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    done = read_runs(given.out)
     for package in PACKAGES:
         importlib.import_module(package)  # that takes seconds, which are no run's
-    tasks = [
-        Task(problem=problem, name=name, budget=budget, limit_s=given.limit_s)
-        for budget in given.budget
-        for problem in problems()
-        if not problem.twin  # with one it is the same problem to them
-        if not given.problems or problem.name.startswith(tuple(given.problems))
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    for task in _tasks(given):
+        _carry_out(task, seeds, given.out)
+
+
+def _tasks(given: argparse.Namespace) -> Sequence[Task]:
+    wanted = set().union(*(named(name) for name in given.problems))
+    chosen = [
+        one
+        for one in problems()
+        if (one.name in wanted or not given.problems) and not one.twin and not one.missing
+    ]  # with a twin it is the same problem to them
+    label = as_took(given.like_method)
+    if given.like is None:
+        budgets = [(one, str(calls), calls) for calls in given.budget for one in chosen]
+    else:
+        took = _took(read_runs(given.like).values(), given.like_method)
+        budgets = [(one, label, took[one.name]) for one in chosen if one.name in took]
+        budgets.sort(key=lambda item: item[-1])
+    return [
+        Task(problem=one, name=name, budget=calls, label=words, limit_s=given.limit_s)
+        for one, words, calls in budgets
         for name in given.methods
     ]
-    for task in tasks:
-        seeds = range(given.first_seed, given.first_seed + given.seeds)
-        key = (task.problem.name, task.name, str(task.budget))
-        missing = [seed for seed in seeds if (*key, seed) not in done]
-        size = task.size() if missing else 0
-        for seed in missing:
-            add_run(given.out, task.run(seed, size))
-        print(*key, f"{len(missing)} runs", flush=True)
+
+
+def _took(runs: Iterable[Run], method: str) -> Mapping[str, int]:
+    """How many calls a method took on each problem until it said that it was done, on average."""
+    calls: dict[str, list[int]] = {}
+    for run in runs:
+        if run.method == method and run.budget == DONE and run.calls:
+            calls.setdefault(run.problem, []).append(run.calls)
+    return {name: round(sum(some) / len(some)) for name, some in calls.items()}
+
+
+def _carry_out(task: Task, seeds: Sequence[int], out: Path) -> None:
+    key, done = (task.problem.name, task.name, task.label), read_runs(out)
+    missing = [seed for seed in seeds if (*key, seed) not in done]
+    endless = sum(done[*key, seed].is_endless for seed in seeds if (*key, seed) in done)
+    size = task.size() if missing and endless < TOO_LONG else 0
+    for seed in missing:
+        if endless == TOO_LONG:
+            break
+        run = task.run(seed, size)
+        endless += run.is_endless
+        add_run(out, run)
+    print(*key, f"{task.budget} calls", f"{len(missing)} runs", flush=True)
 
 
 if __name__ == "__main__":

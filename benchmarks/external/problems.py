@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from benchmarks.external.catalogue import Problem, problems
+from benchmarks.external.catalogue import Problem, named, problems
 from benchmarks.external.systems import MotionDetector, MotionSimulator
 from pemviz import Experiment, ExperimentConfig, build_experiment
 from pemviz.errors import ConfigError
@@ -34,8 +34,7 @@ def chosen(names: Sequence[str]) -> Sequence[Problem]:
         return every
     wanted: set[str] = set()
     for name in names:
-        found = {one.name for one in every if one.name == name}
-        found = found or {one.name for one in every if one.name.startswith(name)}
+        found = named(name)
         if not found:
             message = f"problems = {name!r}: must begin one of {'; '.join(p.name for p in every)}"
             raise ConfigError(message)

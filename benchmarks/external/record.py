@@ -7,6 +7,14 @@ from pathlib import Path
 from typing import Any
 
 RUNS = "runs.jsonl"
+DONE = "done"
+"""A budget: until the method says that it is done, with its own settings."""
+ENDLESS = "took longer than"
+
+
+def as_took(method: str) -> str:
+    """A budget: on each problem as many calls as ``method`` took until it was done."""
+    return f"as {method} took"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +24,7 @@ class Run:
     Attributes:
         problem: The problem's name.
         method: Whose method, and what was set of it.
-        budget: What was asked for: a number of calls, or ``done``.
+        budget: What was asked for: a number of calls, :data:`DONE`, or :func:`as_took`.
         seed: Its seed.
         estimate: The probability; ``None`` where the run failed.
         low: Lower end of its 95 % interval; ``None`` where the method gives none.
@@ -41,6 +49,11 @@ class Run:
     def key(self) -> tuple[str, str, str, int]:
         """What tells a run from others."""
         return self.problem, self.method, self.budget, self.seed
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether it was ended because it took too long."""
+        return any(reason.startswith(ENDLESS) for reason in self.warned)
 
 
 def add_run(path: Path, run: Run) -> None:

@@ -5,8 +5,11 @@ where it stopped when it is asked for again.
 """
 
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -14,8 +17,10 @@ from typing import Annotated
 from rich.console import Console
 
 import pemviz
+from benchmarks.external import others
+from benchmarks.external.catalogue import REQUIREMENTS
 from benchmarks.external.problems import Problem, chosen, experiment_of
-from benchmarks.external.record import RUNS, Run, add_run, read_runs
+from benchmarks.external.record import DONE, RUNS, Run, add_run, read_runs
 from benchmarks.external.table import Row, document, nearer, rows_of, table_lines, totals_of
 from pemviz.cli.parsing import parse_arguments
 from pemviz.config import ExperimentConfig, MethodName
@@ -25,7 +30,7 @@ from pemviz.processes import map_in_processes
 from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.registry import by_name
 
-DONE = "done"
+OTHERS = "others.jsonl"
 Seeds = Annotated[int, Range(low=1, high=100_000)]
 FirstSeed = Annotated[int, Range(low=0, high=1_000_000)]
 Processes = Annotated[int, Range(low=1, high=256)]
@@ -54,6 +59,11 @@ class ExternalStudy:
     """Folder for runs.jsonl, which a later call goes on from, external.md and external.json."""
     others: tuple[Path, ...] = ()
     """Files that benchmarks/external/others.py wrote, to be shown beside."""
+    others_python: Path | None = None
+    """Interpreter of an environment with OpenTURNS and rareeventestimation: their methods are run
+    too, into others.jsonl of the folder, at as many calls as each method took until it was done."""
+    others_seeds: Seeds = 10
+    """Runs of each of their methods on each problem; 1 to 100000."""
     truths: bool = False
     """Find the problems' probabilities again, print both, and run nothing."""
     list: bool = False
@@ -91,8 +101,12 @@ def run_study(study: ExternalStudy) -> Sequence[str]:
     """
     check_value(name="seeds", value=study.seeds, annotation=Seeds)
     check_value(name="first-seed", value=study.first_seed, annotation=FirstSeed)
+    check_value(name="others-seeds", value=study.others_seeds, annotation=Seeds)
     check_value(name="processes", value=study.processes, annotation=Processes)
-    problems = chosen(study.problems)
+    if study.others_python is not None and not study.others_python.is_file():
+        message = f"others-python = {str(study.others_python)!r}: must be an interpreter"
+        raise ConfigError(message)
+    problems, left_out = _at_hand(chosen(study.problems))
     study.out.mkdir(parents=True, exist_ok=True)
     path = study.out / RUNS
     jobs, refused = _jobs(study, problems, path)
@@ -109,7 +123,48 @@ def run_study(study: ExternalStudy) -> Sequence[str]:
         )
 
     map_in_processes(run_job, jobs, workers=study.processes, on_done=progress)
-    return _report(study, problems, path, refused)
+    if study.others_python is not None:
+        _run_others(study, study.others_python, problems, path)
+    return _report(study, problems, path, (*refused, *left_out))
+
+
+def _at_hand(problems: Sequence[Problem]) -> tuple[Sequence[Problem], Sequence[str]]:
+    """Problems whose simulators are installed; and in words, those whose are not."""
+    left_out = [
+        f"{one.name} is left out: needs {', '.join(one.missing)}, not installed here "
+        f"(pip install -r {REQUIREMENTS})"
+        for one in problems
+        if one.missing
+    ]
+    return [one for one in problems if not one.missing], left_out
+
+
+def _run_others(
+    study: ExternalStudy, interpreter: Path, problems: Sequence[Problem], path: Path
+) -> None:
+    """Others' programs, by their own interpreter, after each method of ours.
+
+    Raises:
+        RunError: They fail.
+    """
+    names = [problem.name for problem in problems]
+    for label in sorted(_labels(study)):
+        words = ["-m", others.__name__, "--out", str((study.out / OTHERS).absolute())]
+        words += ["--like", str(path.absolute()), "--like-method", label]
+        words += ["--seeds", str(study.others_seeds), "--problems", *names]
+        ended = subprocess.run(  # noqa: S603  the interpreter that the user names
+            [str(interpreter.absolute()), *words],
+            cwd=Path(__file__).parents[2],
+            check=False,
+            stdout=sys.stderr,
+        )
+        if ended.returncode:
+            message = f"{interpreter} -m {others.__name__}: exit code {ended.returncode}"
+            raise RunError(message)
+
+
+def _labels(study: ExternalStudy) -> AbstractSet[str]:
+    return {" ".join((method, *study.settings)) for method in study.method}
 
 
 def _jobs(
@@ -203,11 +258,11 @@ def _run(problem: Problem, job: Job, seed: int) -> Run:
 
 
 def _report(
-    study: ExternalStudy, problems: Sequence[Problem], path: Path, refused: Sequence[str]
+    study: ExternalStudy, problems: Sequence[Problem], path: Path, said: Sequence[str]
 ) -> Sequence[str]:
     """Of what this study asks for, all that is there."""
     truths = {problem.name: problem.truth for problem in problems}
-    labels = {" ".join((method, *study.settings)) for method in study.method}
+    labels = _labels(study)
     ours = [
         run
         for run in read_runs(path).values()
@@ -216,14 +271,13 @@ def _report(
         and run.budget in study.budget
         and run.seed in _seeds(study)
     ]
-    theirs = [
-        run for file in study.others for run in read_runs(file).values() if run.problem in truths
-    ]
+    files = (*study.others, *([study.out / OTHERS] if study.others_python else []))
+    theirs = [run for file in files for run in read_runs(file).values() if run.problem in truths]
     rows: Sequence[Row] = rows_of([*ours, *theirs], truths)
     totals = [*totals_of(ours, truths), *totals_of(theirs, truths)]
     own = [row for row in rows if row.method in labels]
     found = nearer(own, [row for row in rows if row.method not in labels])
-    lines = [*table_lines(rows, totals, found, truths), *refused]
+    lines = [*table_lines(rows, totals, found, truths, sorted(labels)), *said]
     (study.out / "external.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     written = json.dumps(document(rows, totals, found, truths), indent=1, allow_nan=False)
     (study.out / "external.json").write_text(written + "\n", encoding="utf-8")

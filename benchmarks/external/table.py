@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
-from benchmarks.external.record import Run
+from benchmarks.external.record import DONE, Run, as_took
 
 FAR = 1.5
 """Off by more than this factor with nothing said, a run misleads."""
@@ -16,6 +16,10 @@ MOST = 1000.0
 """An error counts as at most this factor; so do a zero and a run without an answer."""
 OVER = 1.6
 """Others that need more calls than this many times the budget are not compared with."""
+BESIDE = (
+    "In each cell: error; silent; unwarned intervals that hold the truth. Bold: another's error is "
+    "smaller at the same number of calls."
+)
 NOTES = (
     "Ratio: median of estimate over truth. Error: root mean square of ln(estimate / truth); a "
     f"factor of more than {MOST:g}, a zero and no answer count as a factor of {MOST:g} "
@@ -161,24 +165,47 @@ def nearer(ours: Sequence[Row], others: Sequence[Row]) -> Sequence[Nearer]:
     """For each row of ours the best of others' at the budget whose calls are nearest to its."""
     found: list[Nearer] = []
     for row in ours:
-        there = [o for o in others if o.problem == row.problem and _kept_to_budget(o)]
-        budgets = {other.budget for other in there}
-        if not budgets:
+        there = beside(row, others)
+        if not there:
             continue
-        closest = min(budgets, key=lambda budget: _apart(budget, row))
-        best = min((o for o in there if o.budget == closest), key=lambda other: other.error)
+        best = min(there, key=lambda other: other.error)
         found.append(
-            Nearer(row.problem, row.method, row.budget, row.error, best.method, closest, best.error)
+            Nearer(
+                problem=row.problem,
+                method=row.method,
+                budget=row.budget,
+                error=row.error,
+                other=best.method,
+                other_budget=best.budget,
+                other_error=best.error,
+            )
         )
     return found
 
 
-def _kept_to_budget(row: Row) -> bool:
-    return row.calls <= OVER * float(row.budget)
-
-
-def _apart(budget: str, row: Row) -> float:
-    return abs(math.log(float(budget) / max(row.calls, 1.0)))
+def beside(row: Row, others: Sequence[Row]) -> Sequence[Row]:
+    """Others' rows on the same problem at one budget: what ``row`` took, or the nearest to it."""
+    same = as_took(row.method) if row.budget == DONE else ""
+    calls = {
+        other.budget: row.calls if other.budget == same else float(other.budget)
+        for other in others
+        if other.problem == row.problem and (other.budget == same or other.budget.isdecimal())
+    }
+    there = [
+        other
+        for other in others
+        if other.problem == row.problem
+        and other.budget in calls
+        and other.calls <= OVER * calls[other.budget]
+    ]
+    budgets = {other.budget for other in there}
+    if not budgets:
+        return []
+    closest = min(
+        budgets,
+        key=lambda budget: (budget != same, abs(math.log(calls[budget] / max(row.calls, 1.0)))),
+    )
+    return [other for other in there if other.budget == closest]
 
 
 HEADER = (
@@ -188,15 +215,55 @@ HEADER = (
 
 
 def table_lines(
-    rows: Sequence[Row], totals: Sequence[Row], found: Sequence[Nearer], truths: Mapping[str, float]
+    rows: Sequence[Row],
+    totals: Sequence[Row],
+    found: Sequence[Nearer],
+    truths: Mapping[str, float],
+    own: Sequence[str],
 ) -> Sequence[str]:
-    """All of it as Markdown."""
+    """All of it as Markdown; ``own`` are the methods of pemviz."""
     return [
         *_markdown(HEADER, [_cells(row, truths) for row in (*rows, *totals)]),
         "",
+        *_beside_lines(rows, own),
         *_nearer_lines(found),
         *NOTES,
     ]
+
+
+def _beside_lines(rows: Sequence[Row], own: Sequence[str]) -> Sequence[str]:
+    """Problem by problem ours and each of the others' methods, at the same number of calls."""
+    others = [row for row in rows if row.method not in own]
+    there = [(row, beside(row, others)) for row in rows if row.method in own]
+    names = list(dict.fromkeys(other.method for _, some in there for other in some))
+    if not names:
+        return []
+    header = ("problem", "calls", "method", "its error", *names)
+    cells = [
+        (
+            row.problem,
+            f"{row.calls:,.0f}",
+            f"{row.method}, {row.budget}",
+            _shown(row),
+            *(_beside_cell(row, some, name) for name in names),
+        )
+        for row, some in there
+        if some
+    ]
+    return [*_markdown(header, cells), "", BESIDE, ""]
+
+
+def _beside_cell(row: Row, others: Sequence[Row], name: str) -> str:
+    found = [other for other in others if other.method == name]
+    if not found:
+        return "-"
+    (other,) = found
+    return f"**{_shown(other)}**" if other.error < row.error else _shown(other)
+
+
+def _shown(row: Row) -> str:
+    holds = f"{row.hold} of {row.intervals}" if row.intervals else "-"
+    return f"{row.error:.3f}; {row.silent} of {row.runs}; {holds}"
 
 
 def _markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Sequence[str]:

@@ -15,11 +15,11 @@ from benchmarks.external import others
 from benchmarks.external.catalogue import problems
 from benchmarks.external.motions import dimension, limit_function
 from benchmarks.external.problems import chosen, experiment_of
-from benchmarks.external.record import RUNS, Run, add_run, read_runs
+from benchmarks.external.record import DONE, RUNS, Run, add_run, as_took, read_runs
 from benchmarks.external.sequential import CART_START, LEAN, RAIL, WalkBesidePattern, pushed
 from benchmarks.external.study import ExternalStudy, configured, run_study
 from benchmarks.external.systems import MotionDetector, MotionSimulator
-from benchmarks.external.table import MOST, nearer, rows_of
+from benchmarks.external.table import MOST, beside, nearer, rows_of
 from benchmarks.external.truths import WAYS, enumerated
 from benchmarks.trust_systems import LinearLogit, TwoWayWalk
 from benchmarks.trust_truth import always, exact_probability
@@ -218,6 +218,29 @@ def test_others_are_given_their_calls(tmp_path, monkeypatch, capsys):
     assert found["raising"].warned == ("ValueError: moon",)
     assert (found["raising"].estimate, found["raising"].calls) == (None, 1)
     assert found["endless"].warned == ("took longer than 1 s",)
+
+
+def test_others_take_as_many_calls_as_a_method_took(tmp_path, monkeypatch):
+    """And stand beside it, whatever other budgets there are; runs that do not end are given up."""
+    monkeypatch.setattr(others, "SIZED", {"counting": counting})
+    monkeypatch.setattr(others, "METHODS", {"counting": counting, "endless": endless})
+    monkeypatch.setattr(others, "PACKAGES", ())
+    ours, out = tmp_path / RUNS, tmp_path / "others.jsonl"
+    for seed, calls in enumerate((500, 700)):
+        one = run(0.05, problem="RP60", method="auto", budget=DONE, seed=seed)
+        add_run(ours, replace(one, calls=calls))
+    words = ["--out", str(out), "--problems", "RP60", "RP8", "--limit-s", "1", "--seeds", "3"]
+    others.main([*words, "--like", str(ours), "--methods", "counting", "endless"])
+    found = list(read_runs(out).values())
+    assert {(one.problem, one.budget) for one in found} == {("RP60", as_took("auto"))}
+    assert [one.calls for one in found if one.method == "counting"] == [600] * 3
+    assert sum(one.is_endless for one in found) == others.TOO_LONG
+    far = replace(found[0], budget="1200", estimate=0.04483969)
+    rows = rows_of([*read_runs(ours).values(), *found, far], {"RP60": 0.04483969})
+    mine = next(row for row in rows if row.method == "auto")
+    there = beside(mine, [row for row in rows if row.method != "auto"])
+    assert {(row.method, row.budget) for row in there} >= {("counting", as_took("auto"))}
+    assert all(row.budget == as_took("auto") for row in there)
 
 
 def test_others_need_no_pemviz():
