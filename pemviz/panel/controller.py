@@ -37,6 +37,7 @@ class Progress:
     Attributes:
         by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
             count no rollouts.
+        goes_on: Whether stages and rollouts are what it begins with, so that no end is known.
     """
 
     repetition: int
@@ -47,6 +48,7 @@ class Progress:
     planned: int
     elapsed_s: float
     by_level: bool = False
+    goes_on: bool = False
 
     @property
     def share(self) -> float:
@@ -56,6 +58,8 @@ class Progress:
     @property
     def left_s(self) -> float | None:
         """Time left if the rest takes as long a rollout as what is done; unknown at first."""
+        if self.goes_on:
+            return None
         return self.elapsed_s * (1.0 - self.share) / self.share if self.share > 0.0 else None
 
 
@@ -103,7 +107,7 @@ class Watcher:
             self._publish(self.run, self.progress)
 
     def _start(self, event: events.RunStarted) -> None:
-        self._started = event
+        self._started, method = event, by_name(event.config.method)
         gap_m, detection = np.empty(0), np.empty(0)
         if self._own is None and any(signal.name == GAP for signal in event.signals):
             gap_m = gap_grid(event.simulator)
@@ -113,7 +117,8 @@ class Watcher:
             repetitions=event.config.repetitions,
             stages=event.stages,
             planned=event.planned_rollouts,
-            by_level=by_name(event.config.method).counting == "level",
+            by_level=method.counting == "level",
+            goes_on=method.most is not None,
         )
         self.run = RunData(
             result=event.result,

@@ -60,14 +60,18 @@ def status(state: PanelState) -> str:
 
 
 def _progress_text(progress: Progress) -> str:
-    stage = min(progress.stage, progress.stages - 1)
-    words = f"Stage {stage} of {progress.stages - 1}"
-    if progress.stages == 1:
+    if progress.goes_on:
+        words = f"Stage {progress.stage}"
+    elif progress.stages == 1:
         words = "Simulating"
+    else:
+        words = f"Stage {min(progress.stage, progress.stages - 1)} of {progress.stages - 1}"
     if progress.repetitions > 1:
         words = f"Repetition {progress.repetition + 1} of {progress.repetitions}, {words.lower()}"
     if progress.by_level:
         words += f": {progress.share:.0%} of the way to violations"
+    elif progress.goes_on:
+        words += f": {progress.done:,} rollouts, until the interval is as narrow as asked"
     else:
         words += f": {progress.done:,} of {progress.planned:,} rollouts"
     left_s = progress.left_s

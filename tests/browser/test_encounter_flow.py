@@ -21,6 +21,7 @@ pytest.importorskip("viser")
 def test_a_logical_scenario_runs_through_a_reload_and_its_rollouts_play(open_page, shots, panel):
     page = open_page()
     choose(page, "Preset", "cut-in")
+    choose(page, "Method", "mixture")
     small(page)
     panel.gate.shut()
     run(page)

@@ -74,27 +74,31 @@ def fits(page):
 
 
 @pytest.mark.parametrize(
-    ("preset", "counts"),
+    ("preset", "progress", "last", "counts"),
     [
         (
             "paper",
+            r"Stage \d+: .* rollouts, until the interval is as narrow as asked",
+            11,
             re.compile(
-                r"\d{3} of 1200 rollouts, drawn to miss more often, violate "
+                r"\d{3} of 1440 rollouts, drawn to miss more often, violate "
                 r"always\[0,99\] \(gap >= 2\.0\)"
             ),
         ),
         (
             "paper-algorithm",
+            r"Stage \d+ of 11: .* rollouts",
+            10,
             "84 of 100 rollouts (1200 simulated in all), drawn to miss more often, violate "
             "always[0,99] (gap >= 2.0)",
         ),
     ],
 )
-def test_paper_runs_end_to_end(open_page, shots, preset, counts):
+def test_paper_runs_end_to_end(open_page, shots, preset, progress, last, counts):
     page = open_page()
     choose(page, "Preset", preset)
     run(page)
-    page.get_by_text(re.compile(r"Stage \d+ of 11: .* rollouts")).wait_for()
+    page.get_by_text(re.compile(progress)).wait_for()
     assert page.get_by_role("button", name="Run", exact=True).is_disabled()
     tab(page, "Learning")
     charted(page, "newest proposal").wait_for()
@@ -102,7 +106,7 @@ def test_paper_runs_end_to_end(open_page, shots, preset, counts):
     expect_done(page)
     page.get_by_text(re.compile(r"Failure probability [\d.]+e-15")).wait_for()
     page.get_by_text(counts).wait_for()
-    charted(page, "proposal after stage 10").wait_for()
+    charted(page, f"proposal after stage {last}").wait_for()
     page.screenshot(path=shots / f"{preset}-done.png")
 
 
@@ -133,6 +137,7 @@ def test_metric_alpha_and_sigma_change_the_curves(open_page, shots, panel):
 
 def test_stop_keeps_what_was_finished(open_page, shots, panel):
     page = open_page()
+    choose(page, "Method", "mixture")
     small(page, stages=500)
     run(page)
     page.get_by_text(re.compile(r"Stage \d+ of 501")).wait_for()
@@ -283,6 +288,7 @@ def test_two_browsers_and_a_reload_in_mid_run(open_page, shots, panel):
     until(second, lambda: selected(second) == 3)
     assert selected(first) == 1
     tab(first, "Experiment")
+    choose(first, "Method", "mixture")
     small(first)
     panel.gate.shut()
     run(first)

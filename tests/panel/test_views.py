@@ -187,6 +187,9 @@ def test_status_tells_stage_rollouts_and_time_left():
     assert "Stage 4 of 11: 500 of 1,200 rollouts, about 14 s left" in text
     levels = headline.status(PanelState(running=True, progress=replace(progress, by_level=True)))
     assert "Stage 4 of 11: 42% of the way to violations, about 14 s left" in levels
+    open_end = headline.status(PanelState(running=True, progress=replace(progress, goes_on=True)))
+    assert "Stage 4: 500 rollouts, until the interval is as narrow as asked" in open_end
+    assert "left" not in open_end
     assert "Stopping" in headline.status(PanelState(running=True, stopping=True))
     assert "Ready" in headline.status(PanelState())
     assert "gap is no signal" in headline.status(PanelState(error="gap is no signal"))
