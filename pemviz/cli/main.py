@@ -38,6 +38,11 @@ class Command:
 
 
 COMMANDS = {
+    "assess": Command(
+        "pemviz.cli.assess",
+        "from your detector's files to an answer and a report, in one go",
+        "pemviz.cli.assess:AssessArguments",
+    ),
     "record": Command(
         "pemviz.cli.record",
         "run an experiment and keep it in a run folder",
@@ -100,7 +105,7 @@ def _answer(words: list[str]) -> int:
     if words[0] == "--version":
         print(f"pemviz {__version__}")
         return EXIT_DONE
-    return carry_out(words[0], partial(_run, words[0]), words[1:])
+    return carry_out(words[0], partial(run_command, words[0]), words[1:])
 
 
 def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[str]) -> int:
@@ -136,18 +141,18 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
         return _complain(f"{name} failed: {exception_text(error)}", code=EXIT_FAILED)
 
 
-def _run(name: str, words: Sequence[str]) -> int:
-    return _command(name)(words)
+def run_command(name: str, words: Sequence[str]) -> int:
+    """Carry out a command, which is imported only now: some take seconds; gives its exit code.
 
-
-def _command(name: str) -> Callable[[Sequence[str]], int]:
-    """The command's ``run``; commands are imported only when called, some take seconds."""
+    Raises:
+        InputError: There is no such command, or as the command does.
+    """
     command = COMMANDS.get(name)
     if command is None:
         guess = did_you_mean(name, COMMANDS)
         message = f"{name!r} is no command; there are: {', '.join(COMMANDS)}{guess}"
         raise InputError(message)
-    return import_module(command.module).run
+    return import_module(command.module).run(words)
 
 
 def _overview() -> str:

@@ -21,7 +21,6 @@ Port = Annotated[int, Range(low=1, high=65535)]
 PAGE = HelpPage(
     text="""
 usage: pemviz record [OPTIONS]   how likely is a violation? Keeps a run folder
-
 Question
   --preset NAME       paper (default), town01, braking, cut-in, cut-out, merge,
                       free-traffic, paper-algorithm; or --config FILE.toml
@@ -32,7 +31,8 @@ Detector
   --memory-s S        misses come in bursts, also --frailty F; --memory-curve
   --position-errors NAME|FILE   how far off it says a car is
 Certainty
-  --method NAME       how, and until when: --precision 10%; see --help method
+  --precision 10%     how sure the answer is to be; at most --max-minutes 5
+  --method NAME       auto (default), mixture, splitting, ...: --help method
   --target P          what labels would show that the answer is below P
   --seed N            also --repetitions N, and --reference, an exact answer
 Output
@@ -48,8 +48,8 @@ sumo, or an option such as --help spec; --help-all for everything""",
     topics={
         "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator", "carla",
                      "sumo_config", "encounters_per_hour"),
-        "detector": ("pem", "memory_s", "frailty", "position_errors", "memory_curve",
-                     "allow_python"),
+        "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "position_errors",
+                     "memory_curve", "allow_python"),
         "certainty": ("precision", "max_rollouts", "max_minutes", "target", "plan", "reference",
                       "repetitions", "seed"),
         "output": ("out", "resume", "verbose", "json", "fail_above", "summary", "junit", "keep",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 from pemviz.cli.bars import progress_bar
 from pemviz.cli.help import HelpPage
@@ -23,10 +23,10 @@ from pemviz.pem.data.mapped_log import collect_log
 from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
+from pemviz.pem.data.recognise import CollectedFormat
 
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
-Format = Literal[DetectionFormat, SequenceFormat, "nuscenes", "motchallenge", "log"]
 
 PAGE = HelpPage(
     text="""
@@ -67,7 +67,7 @@ class CollectArguments:
     motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
     """CSV file to write."""
-    format: Format = "kitti"
+    format: CollectedFormat = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four

@@ -1,0 +1,192 @@
+"""``pemviz assess``: the commands that it prints are what it does, and nonsense is told at once."""
+
+import json
+import re
+import shlex
+
+import pytest
+
+from pemviz.cli import assess
+from pemviz.cli.main import main, run_command
+from pemviz.cli.parsing import parse_arguments
+from pemviz.pem.model_files import load_pem
+from tests.cli.command_kinds import COMMANDS
+from tests.comparable_results import comparable_result
+from tests.pem.detector_files import write_kitti, write_lines, write_mot_challenge, write_tracking
+from tests.pem.test_nuscenes import annotation, beside, detection, write_nuscenes
+
+
+def assess_words(files, out, *words):
+    labels, detections = files
+    return ["assess", "--labels", str(labels), "--detections", str(detections), "--out", str(out),
+            *words]  # fmt: skip
+
+
+def write_cars_of_nuscenes(folder):
+    """Two cars in three samples of a scene, of which one is missed twice."""
+    folder.mkdir()
+    cars = [
+        (who, f"s{n}", beside(x, 10.0 + n)) for n in range(3) for who, x in (("a", 0), ("b", 4))
+    ]
+    found = [one for one in cars if one[:2] not in {("b", "s0"), ("b", "s1")}]
+    results = {f"s{n}": [detection(place, sample_token=sample) for _, sample, place in found
+                         if sample == f"s{n}"] for n in range(3)}  # fmt: skip
+    labels = [annotation(place, who=who, sample=sample) for who, sample, place in cars]
+    paths = write_nuscenes(folder, labels, results)
+    return paths["labels"], paths["detections"]
+
+
+def printed(text):
+    """The words of each command that was printed, without ``pemviz``."""
+    return [shlex.split(line)[2:] for line in text.splitlines() if line.startswith("$ pemviz ")]
+
+
+@pytest.fixture
+def planned(monkeypatch):
+    """Carries out ``pem collect``; of the other commands it only reads the words."""
+
+    def read(name, words):
+        command = f"pem {words[0]}" if name == "pem" else name
+        if command == "pem collect":
+            return run_command(name, words)
+        given = words[1:] if name == "pem" else words
+        arguments = parse_arguments(COMMANDS[command], given, command=command)
+        if command == "record":
+            (arguments.out / "a-run").mkdir(parents=True)
+        if command == "pem memory" and arguments.json:
+            print(json.dumps({"memory": {"fit": {"memory": {"tau_s": 0.25, "frailty": 0.5}}}}))
+        return 0
+
+    monkeypatch.setattr(assess, "run_command", read)
+
+
+@pytest.mark.parametrize(
+    ("write", "options", "expected"),
+    [
+        (write_tracking, {}, ["pem collect", "pem memory", "pem fit --memory", "record", "report"]),
+        (
+            write_tracking,
+            {"places": True},
+            ["pem collect", "pem memory", "pem fit --memory", "pem fit --position-errors",
+             "record --position-errors", "report"],
+        ),
+        (write_tracking, {"sequences": 1}, ["pem collect", "pem fit", "record", "report"]),
+        (
+            write_kitti,
+            {},
+            ["pem collect", "pem fit", "pem fit --position-errors", "record --position-errors",
+             "report"],
+        ),
+        (write_mot_challenge, {}, ["pem collect", "pem memory", "record --memory-s", "report"]),
+        (
+            write_cars_of_nuscenes,
+            {},
+            ["pem collect", "pem fit", "pem fit --position-errors", "record --position-errors",
+             "report"],
+        ),
+    ],
+)  # fmt: skip
+def test_the_commands_follow_from_what_the_files_hold(
+    planned, tmp_path, capsys, write, options, expected
+):
+    files = write(tmp_path / "files", **options)
+    words = assess_words(files, tmp_path / "out", "--preset", "town01", "--target", "1e-6")
+    assert main(words) == 0
+    commands = printed(capsys.readouterr().out)
+    marks = ("--memory", "--position-errors", "--memory-s")
+    told = [
+        " ".join([*words[: 2 if words[0] == "pem" else 1], *(m for m in marks if m in words)])
+        for words in commands
+    ]
+    assert told == expected
+    record = next(words for words in commands if words[0] == "record")
+    assert record[record.index("--preset") + 1] == "town01"
+    assert record[record.index("--target") + 1] == "1e-06"
+    assert commands[-1][1] == str(tmp_path / "out/runs/a-run")
+    assert "--claim-below" in commands[-1]
+
+
+def test_the_memory_of_files_without_places_goes_into_the_run(planned, tmp_path, capsys):
+    assert main(assess_words(write_mot_challenge(tmp_path / "files"), tmp_path / "out")) == 0
+    shown = capsys.readouterr()
+    (record,) = (words for words in printed(shown.out) if words[0] == "record")
+    assert record[record.index("--pem") + 1] == "ml-nn"
+    assert record[record.index("--memory-s") + 1] == "0.25"
+    assert record[record.index("--frailty") + 1] == "0.5"
+    assert "these files know no places" in shown.err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"labels": "absent"}, "labels = .*absent: there is no such file or folder"),
+        ({"detections": "files"}, "in it is found; allowed: KITTI results"),
+        ({"labels": "empty"}, "labels = .*empty: the folder is empty"),
+        ({"detections": "none"}, "none: of 720 obstacles all are missed: nothing to learn from"),
+        ({"detections": "fewer"}, "0003.txt: no detections of this sequence"),
+        ({"labels": "own.csv", "detections": "own.csv"}, "rows of a log; --mapping FILE.toml must"),
+        ({"out": "own.csv"}, "out = .*own.csv: no folder can be made there"),
+        ({"--preset": "cutin"}, r"preset = 'cutin': must be one of .*; did you mean cut-in\?"),
+        ({"--target": "2"}, "target = 2"),
+        ({"--fail-above": "often"}, "fail-above"),
+        ({"--types": "car"}, "types: 'car' is no class, allowed: Car, Van"),
+        ({"--types": "Tram"}, "labels = .*: no obstacle of Tram"),
+        ({"--iou-above": "1.5"}, "iou_above is 1.5, allowed: 0 to below 1"),
+        ({"--rate-hz": "0"}, "rate_hz is 0, allowed: above 0"),
+        ({"--mapping": "absent.toml"}, "absent.toml"),
+        ({"--mapping": "absent.toml", "--format": "mot"}, "mapping: must be given with format log"),
+        ({"--format": "kitti"}, "15 columns|columns where|no detections"),
+        ({"--model": "magic"}, "magic"),
+        ({"--seed": "-1"}, "seed = -1"),
+        ({"--score-from": "nan"}, "score_from is nan"),
+        ({"--lables": "x"}, "--lables.*did you mean --labels"),
+    ],
+)
+def test_nonsense_is_told_in_one_line(tmp_path, capsys, monkeypatch, change, words):
+    monkeypatch.chdir(tmp_path)
+    labels, detections = write_tracking(tmp_path / "files")
+    (tmp_path / "empty").mkdir()
+    write_lines(tmp_path, {"own.csv": ["a,b,c", "1,2,3"]})
+    frames = {path.name: ["0,1,1,2,2,0.1"] for path in labels.iterdir()}
+    write_lines(tmp_path / "none", frames)
+    write_lines(tmp_path / "fewer", dict(sorted(frames.items())[:-1]))
+    options = {"labels": labels, "detections": detections, "out": "out"}
+    options |= {name: change[name] for name in options if name in change}
+    given = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    given += [word for name, value in change.items() if name[0] == "-" for word in (name, value)]
+    assert main(["assess", *given]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(words, line), line
+
+
+def test_labels_are_asked_for(capsys):
+    assert main(["assess"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "--labels" in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("write", "options", "own"),
+    [
+        (write_tracking, {"places": True, "sequences": 6}, []),
+        (write_kitti, {}, ["--no-position-errors"]),
+        (write_mot_challenge, {}, []),
+    ],
+)
+def test_the_printed_commands_give_the_same_numbers(tmp_path, capsys, write, options, own):
+    out, again = tmp_path / "out", tmp_path / "again"
+    files = write(tmp_path / "files", **options)
+    assert main(assess_words(files, out, "--model", "lr", "--preset", "town01", *own)) == 0
+    commands = printed(capsys.readouterr().out)
+    again.mkdir()
+    for words in commands[:-1]:
+        assert main([word.replace(str(out), str(again)) for word in words]) == 0
+    (run,), (same) = (out / "runs").iterdir(), list((again / "runs").iterdir())
+    assert commands[-1][1] == str(run)
+    assert (out / "report.html").stat().st_size > 10_000
+    assert [comparable_result(folder)["estimate"] for folder in same] == [
+        comparable_result(run)["estimate"]
+    ]
+    for path in out.glob("detector.safetensors"):
+        assert load_pem(str(path)).digest == load_pem(str(again / path.name)).digest
