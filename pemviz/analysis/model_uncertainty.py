@@ -10,9 +10,11 @@ weights under one model give the failure probability under another::
 with w_i the weight p(i) / q(i) that carries the estimate itself.
 """
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -84,15 +86,22 @@ class ModelClassAnswer:
 
 def model_classes_beside(pem: Pem) -> tuple[Pem, ...]:
     """The shipped single models that were trained on the same data as ``pem``, but ``pem``."""
-    others: list[Pem] = []
+    return tuple(
+        model for model in _shipped_singles() if model.data == pem.data and model.name != pem.name
+    )
+
+
+@cache
+def _shipped_singles() -> tuple[Pem, ...]:
+    """Read once: every run looks at all of them, and nobody is handed one to change."""
+    models: list[Pem] = []
     for name in shipped_pems():
-        try:
-            model = load_pem(name)
-        except PemError:  # a damaged file is reported where that model is wanted
+        if name.endswith("-ensemble"):
             continue
-        if model.data == pem.data and model.name != pem.name and not name.endswith("-ensemble"):
-            others.append(model)
-    return tuple(others)
+        # a damaged file is reported where that model is wanted
+        with contextlib.suppress(PemError):
+            models.append(load_pem(name))
+    return tuple(models)
 
 
 @dataclass(frozen=True)
