@@ -31,6 +31,8 @@ from pemviz.simulators.latents import begun, stepped
 
 ROWS = 2000
 SLOW = ("CartPole", "pendulum", "RP63")
+LONG = ("RP24", "RP31", "RP35", "RP53", "RP57")
+"""Quadratures that take a second and more."""
 EXACT = 3e-4
 """Share by which two quadratures may differ: the coarser is of RP31, whose edges are steep."""
 
@@ -43,7 +45,12 @@ def test_every_problem_is_known_and_found_again():
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in WAYS if not name.startswith(SLOW) and not name.endswith("100")]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG))
+        for name in WAYS
+        if not name.startswith(SLOW) and not name.endswith("100")
+    ],
 )
 def test_truths_are_found_again(name):
     """Sampled ones within 4.5 standard errors: a dozen of them, false alarm 1e-4 in all."""
