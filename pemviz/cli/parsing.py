@@ -16,8 +16,10 @@ Arguments = TypeVar("Arguments")
 Processes = Annotated[int, Range(low=1, high=1024)]
 """An option that several commands have."""
 
-FRAME = re.compile("[\u2500-\u257f]+")
+FRAME = re.compile("[\u2500-\u257f]+|-{4,}|^[|+]|[|+]$", re.MULTILINE)
+"""Around a complaint, also where a terminal has no letters but ASCII's."""
 COLOUR = re.compile("\x1b\\[[0-9;]*m")
+MISSING = re.compile(r"Required options Missing from .*?: (?P<options>.*)")
 PERCENT = re.compile(r"^(?P<number>\d+(\.\d+)?)%$")
 """A word that is a percentage stands for its share: 10% for 0.1."""
 
@@ -80,4 +82,7 @@ def one_line(complaint: str, *, command: str) -> str:
     text = re.sub(r" ?Perhaps you meant: (\S+).*$", r"; did you mean \1?", text)
     text = re.sub(r"^(Unrecognized options) \1:", r"\1:", text)
     text = re.sub(r"^(Value error|Missing argument|Parsing error|Invalid choice) ", "", text)
+    if missing := MISSING.match(text):
+        names = [part.split()[0] for part in missing["options"].split("(required)") if part.strip()]
+        text = f"must be given: {', '.join(names)}"
     return f"{text.strip() or 'the arguments cannot be read'} (see {command} --help)"

@@ -159,10 +159,10 @@ def test_nonsense_is_told_in_one_line(tmp_path, capsys, monkeypatch, change, wor
     assert re.search(words, line), line
 
 
-def test_labels_are_asked_for(capsys):
+def test_what_must_be_given_is_asked_for(capsys):
     assert main(["assess"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "--labels" in line
+    assert line == "pemviz: must be given: --labels, --detections (see pemviz assess --help)"
 
 
 @pytest.mark.slow
