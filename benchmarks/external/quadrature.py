@@ -130,45 +130,74 @@ def _log_ratio(x: Numbers, centres: Numbers, spread: Numbers) -> Numbers:
     return np.logaddexp(np.log(0.1), np.log(0.9) + moved)
 
 
-def plain(motion: Motion, *, count: int, seed: int, lower: float = 0.0) -> Known:
-    """Plain Monte Carlo rollouts of a motion; its detector's logits may be lowered, and weighed.
+def plain(motion: Motion, *, count: int, seed: int) -> Known:
+    """Plain Monte Carlo rollouts of a motion.
 
     Args:
         motion: What moves.
         count: Rollouts.
         seed: Of numpy's generator.
-        lower: So much lower logits are sampled from; likelihood ratios make up for it.
     """
     rng = np.random.default_rng(seed)
-    sums = np.zeros(2)
+    failing = 0
     for size in _sizes(count, CHUNK):
-        weight = np.exp(_failing_log_weight(motion, size, rng, lower))
+        values = motion.begin(rng.standard_normal((size, motion.starts)))
+        failed: Flags = motion.margin(values) < 0.0
+        detected = np.ones(size, dtype=np.bool_)
+        for step in range(motion.steps):
+            if motion.misses:
+                detected = rng.random(size) < expit(motion.logit(values))
+            noise = rng.standard_normal((size, motion.noises))
+            values = motion.move(values, step, detected, noise)
+            failed |= motion.margin(values) < 0.0
+        failing += int(failed.sum())
+    sums = np.full(2, float(failing))
+    return _averaged(sums, count, f"{count:,} plain rollouts, numpy alone")
+
+
+WINDOW, UNTILTED = 12, 0.1
+"""Steps of a window of misses; share of rollouts without one."""
+
+
+def by_windows(motion: Motion, *, count: int, seed: int) -> Known:
+    """Importance sampling of a motion that misses alone decide and that stays once it has failed.
+
+    In one window of steps, uniform over where it begins, logits above 0 are sampled as 0; a tenth
+    of the rollouts have none. Weights are against the mixture of all windows, so that each is
+    below 10 whatever happens (Owen, Zhou 2000).
+    """
+    rng = np.random.default_rng(seed)
+    begins = np.arange(1 - WINDOW, motion.steps)
+    sums = np.zeros(2)
+    for size in _sizes(count, CHUNK // 5):
+        first = rng.choice(begins, size=size)
+        first[rng.random(size) < UNTILTED] = motion.steps
+        log_ratio = _window_log_ratios(motion, first, rng)
+        inside = np.zeros(log_ratio.shape[1])
+        for begin in begins:
+            end = min(motion.steps, begin + WINDOW)
+            inside += np.exp(log_ratio[end] - log_ratio[max(begin, 0)])
+        weight = 1.0 / (UNTILTED + (1.0 - UNTILTED) * inside / begins.size)
         sums += weight.sum(), (weight**2).sum()
-    how = f"{count:,} plain rollouts, numpy alone"
-    if lower:
-        how = f"{count:,} rollouts with log-odds {lower:g} lower and likelihood ratios, numpy alone"
-    return _averaged(sums, count, how)
+    return _averaged(sums, count, f"{count:,} rollouts with a window of misses, numpy alone")
 
 
-def _failing_log_weight(
-    motion: Motion, size: int, rng: np.random.Generator, lower: float
-) -> Numbers:
-    """Log likelihood ratio of each rollout that fails, minus infinity of the others."""
-    values = motion.begin(rng.standard_normal((size, motion.starts)))
+def _window_log_ratios(motion: Motion, first: Any, rng: np.random.Generator) -> Numbers:
+    """Of rollouts that fail, ``[steps + 1, N]``: what windows up to each step would add."""
+    values = motion.begin(np.empty((first.size, 0)))
     failed: Flags = motion.margin(values) < 0.0
-    log_weight = np.zeros(size)
-    detected = np.ones(size, dtype=np.bool_)
+    summed = np.zeros((motion.steps + 1, first.size))
     for step in range(motion.steps):
-        if motion.misses:
-            logit = motion.logit(values)
-            detected = rng.random(size) < expit(logit - lower)
-            if lower:
-                log_weight += np.logaddexp(0.0, logit - lower) - np.logaddexp(0.0, logit)
-                log_weight += np.where(detected, lower, 0.0)
-        noise = rng.standard_normal((size, motion.noises))
-        values = motion.move(values, step, detected, noise)
+        logit = motion.logit(values)
+        low = np.minimum(logit, 0.0)
+        tilted = (first <= step) & (step < first + WINDOW)
+        detected = rng.random(first.size) < expit(np.where(tilted, low, logit))
+        ratio = np.logaddexp(0.0, logit) - np.logaddexp(0.0, low)
+        ratio += np.where(detected, low - logit, 0.0)
+        summed[step + 1] = summed[step] + np.where(failed, 0.0, ratio)
+        values = motion.move(values, step, detected, np.empty((first.size, 0)))
         failed |= motion.margin(values) < 0.0
-    return np.where(failed, log_weight, -np.inf)
+    return summed[:, failed]
 
 
 def _averaged(sums: Numbers, count: int, how: str) -> Known:

@@ -28,9 +28,13 @@ from pemviz.config.ranges import Range, check_value
 from pemviz.errors import ConfigError, InputError, RunError
 from pemviz.processes import map_in_processes
 from pemviz.runs.uncertainty import run_interval_caveats
+from pemviz.sampling.mixture.build import CHAINS
 from pemviz.sampling.registry import by_name
 
 OTHERS = "others.jsonl"
+CHAINS_SHARE, CHAINS_LEVELS, LEAST_CHAINS = 0.2, 25, 20
+"""Of a budget in counts, for chains; levels of all of their runs, about: 14 to 34 for 1e-3 to 1e-9;
+rollouts a level from which on they are worth it."""
 Seeds = Annotated[int, Range(low=1, high=100_000)]
 FirstSeed = Annotated[int, Range(low=0, high=1_000_000)]
 Processes = Annotated[int, Range(low=1, high=256)]
@@ -45,8 +49,8 @@ class ExternalStudy:
     method: tuple[MethodName, ...] = ("mixture",)
     """Methods of pemviz, shipped or registered."""
     budget: tuple[str, ...] = (DONE,)
-    """Simulated rollouts of a run (of splitting: particles); done: until the method says it is
-    done, with its own settings."""
+    """Simulated rollouts of a run, what chains simulate included (of splitting: particles); done:
+    until the method says it is done, with its own settings."""
     settings: tuple[str, ...] = ()
     """Of all methods, as name=value, each a field of a configuration: stages=20."""
     seeds: Seeds = 5
@@ -226,7 +230,18 @@ def configured(
     if not budget.isdecimal():
         message = f"budget = {budget!r}: must be a number of rollouts, or {DONE}"
         raise ConfigError(message)
-    return by_name(method).with_budget(config, int(budget))
+    return _within(problem, config, int(budget))
+
+
+def _within(problem: Problem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
+    """A budget that what chains simulate is part of, where they search and nothing says how."""
+    method = by_name(config.method)
+    searches = "chains" in method.settings and problem.motion.starts + problem.motion.noises > 0
+    if not searches or config.chains is not None:
+        return method.with_budget(config, calls)
+    each = min(int(CHAINS_SHARE * calls / CHAINS_LEVELS), CHAINS)
+    chains = each if each >= LEAST_CHAINS else 0
+    return method.with_budget(replace(config, chains=chains), calls - CHAINS_LEVELS * chains)
 
 
 def run_job(job: Job) -> None:

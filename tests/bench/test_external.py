@@ -14,7 +14,9 @@ from benchmarks.__main__ import main
 from benchmarks.external import others
 from benchmarks.external.catalogue import problems
 from benchmarks.external.motions import dimension, limit_function
+from benchmarks.external.mujoco_pole import POLE_START, stepped_by_mujoco
 from benchmarks.external.problems import chosen, experiment_of
+from benchmarks.external.quadrature import by_windows
 from benchmarks.external.record import DONE, RUNS, Run, add_run, as_took, read_runs
 from benchmarks.external.sequential import CART_START, LEAN, RAIL, WalkBesidePattern, pushed
 from benchmarks.external.study import ExternalStudy, configured, run_study
@@ -26,11 +28,12 @@ from benchmarks.trust_truth import always, exact_probability
 from pemviz import stl
 from pemviz.errors import InputError
 from pemviz.pem import as_pem
+from pemviz.sampling.description import learning_budget
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.latents import begun, stepped
 
 ROWS = 2000
-SLOW = ("CartPole", "pendulum", "RP63")
+SLOW = ("CartPole", "InvertedPendulum", "pendulum", "RP63")
 LONG = ("RP24", "RP31", "RP35", "RP53", "RP57")
 """Quadratures that take a second and more."""
 EXACT = 3e-4
@@ -95,7 +98,38 @@ def test_the_cart_moves_as_gymnasiums_does():
     assert environment.theta_threshold_radians == pytest.approx(LEAN, abs=1e-4)
 
 
-@pytest.mark.parametrize("problem", problems(), ids=lambda problem: problem.name)
+def test_the_pole_moves_as_mujocos_does():
+    pytest.importorskip("mujoco", reason="its simulator is of an environment apart")
+    gymnasium = pytest.importorskip("gymnasium")
+    environment = gymnasium.make("InvertedPendulum-v5").unwrapped
+    environment.set_state(np.array(POLE_START[:2]), np.array(POLE_START[2:]))
+    state = np.array([POLE_START])
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, 12):
+        environment.step(np.array([action]))
+        state = stepped_by_mujoco(state, np.array([action]))
+        np.testing.assert_allclose(state[0], environment._get_obs(), rtol=1e-9, atol=1e-12)
+
+
+def test_windows_of_misses_find_what_enumeration_finds():
+    """A walk's 2^18 sequences; within 4.5 standard errors: false alarm 7e-6."""
+    motion = WalkBesidePattern(pattern=tuple(range(18)), first=4)
+    found, exact = by_windows(motion, count=40_000, seed=3), enumerated(motion).value
+    assert found.relative_error < 0.05
+    assert abs(found.value / exact - 1.0) < 4.5 * found.relative_error
+
+
+def test_a_problem_whose_simulator_is_absent_is_left_out(tmp_path, monkeypatch, capsys):
+    absent = replace(chosen(["RP55"])[0], needs=("surely_not_there",))
+    monkeypatch.setattr("benchmarks.external.study.chosen", lambda _: (absent,))
+    assert main(["external", "--problems", "RP55", "--out", str(tmp_path)]) == 0
+    assert "RP55 is left out: needs surely_not_there, not installed" in capsys.readouterr().out
+    assert not (tmp_path / RUNS).exists()
+
+
+AT_HAND = [problem for problem in problems() if not problem.missing]
+
+
+@pytest.mark.parametrize("problem", AT_HAND, ids=lambda problem: problem.name)
 def test_pemviz_is_given_what_others_are_given(problem):
     """Rollouts from far-out numbers: the specification's verdict, and g below 0."""
     motion, rng = problem.motion, np.random.default_rng(7)
@@ -169,6 +203,18 @@ def test_a_small_study_is_gone_on_with(tmp_path, capsys):
     written = json.loads((tmp_path / "external.json").read_text(encoding="utf-8"))
     assert [row["runs"] for row in written["totals"]] == [6, 1]
     assert (tmp_path / "external.md").read_text(encoding="utf-8") in printed
+
+
+def test_a_budget_in_counts_has_room_for_chains():
+    """Small ones have none; nor does what begins in one way and has no noise."""
+    (static,), (cart,) = chosen(["RP111"]), chosen(["CartPole, base 5"])
+    small = configured(static, "mixture", "1200", ())
+    assert (small.chains, learning_budget(small).rollouts) == (0, 1200)
+    large = configured(static, "mixture", "20000", ())
+    assert (large.chains, learning_budget(large).rollouts) == (160, 16_000)
+    assert configured(static, "auto", "20000", ()).max_rollouts == 16_000
+    assert configured(static, "mixture", "1200", ("chains=30",)).chains == 30
+    assert learning_budget(configured(cart, "mixture", "20000", ())).rollouts == 20_000
 
 
 def test_what_cannot_be_had_is_said(tmp_path, capsys):
