@@ -34,8 +34,6 @@ def sample_config() -> ExperimentConfig:
         final_rollouts=18,
         precision=1.0,
         seed=15,
-        memory_s=0.0,
-        frailty=0.0,
         spec="always[0,69] (gap >= 2.0)",
         scenario=replace(paper.scenario, states=70),
     )

@@ -18,8 +18,9 @@ from pemviz.panel import compare_tab, headline, learning_tab, recordings_tab
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.recording.sweep_overview import estimate_label
 from pemviz.recording.text import answer_text
-from pemviz.reports.answer_words import rule_warnings, rules_table
+from pemviz.reports.answer_words import rule_warnings
 from pemviz.reports.gate import decide_run
+from pemviz.reports.headline_words import answers_table
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines, summary_text
@@ -245,11 +246,11 @@ def test_a_rule_tells_only_what_speaks_against_it_and_not_against_the_whole_answ
             for name, one in zip("abc", (holds, doubted, worse), strict=True)
         ),
     )
-    intervals = [row[2] for row in rules_table(result).rows]
+    intervals = [row[2] for row in answers_table(result).rows[:-1]]
     assert [bool(DOUBT.search(words)) for words in intervals] == [False, True, True]
     assert [WRONG.text in words for words in intervals] == [False] * 3
     assert own.text in intervals[2]
     assert rule_warnings(result) == [f"rule c: {own.text}"]
     alone = replace(result, estimate=holds)
-    assert WRONG.text in rules_table(alone).rows[1][2]
+    assert WRONG.text in answers_table(alone).rows[1][2]
     assert rule_warnings(alone)[0] == f"rules b, c: {WRONG.text}"

@@ -125,7 +125,8 @@ def options_of(kind: type, default: object | None = None, *, table: str = "") ->
             continue
         positional = tyro.conf.Positional in marks
         name = f"{table}{one.name}"
-        typed = one.name.upper() if positional else f"--{name.replace('_', '-')}"
+        off = "no-" * (base is bool and one.default is True)  # what is on is switched off
+        typed = one.name.upper() if positional else f"--{off}{name.replace('_', '-')}"
         repeated = tyro.conf.UseAppendAction in marks
         yield Option(
             name,

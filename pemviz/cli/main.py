@@ -162,7 +162,7 @@ def _overview() -> str:
         [
             "usage: pemviz COMMAND [OPTIONS]",
             "",
-            "How likely is a rare violation, how far to trust that number, what causes it?",
+            "How likely is a rare violation, how far is that open, what causes it?",
             "",
             *lines,
             "",

@@ -176,6 +176,11 @@ class ExperimentConfig:
     the ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
     --position-errors'. Left out, it is measured without error. Shipped back ends only; without
     method zero-variance and reference."""
+    measured_memory: bool = True
+    """Also report the failure probability with the memory of misses that was measured on video: the
+    error model's own and the ends of its interval or, where it has none, that of two detectors;
+    from half as many rollouts as the run's, 100 to 600, on a scenario with a fast twin and one
+    slot."""
     memory_curve: bool = False
     """Also report the failure probability over memory times from 0 to 1 s and over frailties from 0
     to 1.2, from 2400 rollouts each of their own (on the fast twin where there is one)."""

@@ -138,8 +138,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
     Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
-    an hour where there are none, without a memory that is left out or not assumed, and without
-    ``keep`` where all is kept.
+    an hour where there are none, without a memory that is left out or not assumed, without
+    ``measured_memory`` where it is looked at, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
     for name in ("position_errors", "carla", "encounters_per_hour", "memory_s", "frailty"):
@@ -147,6 +147,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
             del table[name]
     if config.assumed_memory_s == 0.0:
         del table["assumed_memory_s"]
+    if config.measured_memory:
+        del table["measured_memory"]
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if not config.is_encounter:

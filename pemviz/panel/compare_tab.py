@@ -35,7 +35,7 @@ MOST_RUNS = len(LETTERS)
 LONGEST_SETTING = 40
 ESTIMATES = (
     "run", "P(violation)", "interval", "violations", "rollouts simulated", "effective sample size",
-    "Pareto k-hat", "NLL [nats]", "reliable?",
+    "Pareto k-hat", "NLL [nats]", "sampling reliable?",
 )  # fmt: skip
 NONE = "none"
 ADD_HINT = (

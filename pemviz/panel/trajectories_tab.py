@@ -22,10 +22,12 @@ from pemviz.panel.curve_chart import signal_name
 from pemviz.panel.page import MINUS, block, number, percent, progress_words, quiet
 from pemviz.panel.ranking import METRIC_NAMES, Among, RankedRow, Ranking, rank, row, scoring
 from pemviz.panel.rollout_player import VIEWS, Player
+from pemviz.panel.rollout_tables import final_violations
 from pemviz.panel.run_data import RunData
 from pemviz.reports.charts import RUN_COLORS
 from pemviz.reports.document import Block, Paragraph, Table, Verdict
 from pemviz.reports.html import blocks_html, clicks_to, heading
+from pemviz.runs.answers import rules_in_order
 from pemviz.runs.specification import build_formula
 from pemviz.simulators.latents import NamesStarts, within
 from pemviz.types import Simulator
@@ -59,7 +61,8 @@ EVERY_RULE: str = "all rules"
 RANK_HINT = "Which rollout to show. Keys: arrow down, arrow up."
 CARRIES, ALL = "what carries the answer", "all rollouts"
 AMONG: Mapping[str, Among] = {CARRIES: "carrying", ALL: "all"}
-BY_SHARE: Mapping[str, bool] = {"least robust": False, "largest contribution": True}
+LEAST_ROBUST, LARGEST = "least robust", "largest contribution"
+BY_SHARE: Mapping[str, bool] = {LEAST_ROBUST: False, LARGEST: True}
 FOLLOW_HINT = "Keep the ego car in view while it drives: the road moves beneath it."
 VIEW_HINT = "Where the scene is seen from; drag, scroll and right drag move the view as you like."
 LIVE_PAUSE_S = 0.6
@@ -224,6 +227,14 @@ def chosen(word: str, meanings: Mapping[str, Value], name: str) -> Value:
     return meanings[word]
 
 
+def _opens_on(run: RunData) -> str:
+    """The first rule that anything breaks, those about collisions before others."""
+    ordered = rules_in_order(run.config.rules)
+    final = (final_violations(run.rollouts, stages=run.result.stages, rule=r.name) for r in ordered)
+    broken = (rule.name for rule, found in zip(ordered, final, strict=True) if found.any())
+    return next(broken, EVERY_RULE) if run.parts else EVERY_RULE
+
+
 class TrajectoriesTab:
     """The ranking; this browser's own choice of metric and rollout."""
 
@@ -276,7 +287,8 @@ class TrajectoriesTab:
             self._picked = None
             self.metric.value = run.config.metric
             self.rule.options = (EVERY_RULE, *(rule.name for rule in run.config.rules))
-            self.rule.value = EVERY_RULE
+            self.rule.value = opened = _opens_on(run)
+            self.first.value = LEAST_ROBUST if opened == EVERY_RULE else LARGEST
             self.rule.visible = bool(run.config.rules)
         self._run = run
         self._show(place=None)

@@ -8,12 +8,10 @@ from pemviz.reports.estimate_words import (
     UNKNOWN,
     digits_of,
     end_text,
-    interval_text,
     level_text,
     no_interval_text,
-    number_text,
-    probability_text,
 )
+from pemviz.runs.answers import answers
 from pemviz.runs.rates import Rate, assumed_distance, assumed_encounters, rates
 from pemviz.runs.result import RunResult
 from pemviz.runs.uncertainty import (
@@ -34,40 +32,16 @@ LARGEST_PLAIN = 1e6
 """From here on rates are written with an exponent."""
 
 
-def rules_table(result: RunResult) -> Table:
-    """Name, probability, interval and its logarithm of every rule."""
-    against_answer = run_interval_caveats(result)
-    rows = [
-        (
-            rule.name,
-            probability_text(rule.estimate),
-            _rule_interval(rule.estimate, against_answer),
-            number_text(rule.estimate.log10_probability),
-        )
-        for rule in result.rules
-    ]
-    columns = ("rule", "is broken with probability", "interval", "log10")
-    return Table(columns, tuple(rows), name="Each rule by itself")
-
-
-def _rule_interval(estimate: Estimate, against_answer: Sequence[str]) -> str:
-    """A rule's interval; what speaks against that of the whole answer too is not told again."""
-    caveats = interval_caveats(estimate)
-    own = [text for text in caveats if text not in against_answer]
-    words = interval_text(estimate, caveats=own)
-    if own or not caveats or estimate.ci_low is None:
-        return words
-    return f"{words}, {no_interval_text(estimate)} either"
-
-
 def rule_warnings(result: RunResult) -> Sequence[str]:
     """What is wrong with the answers to single rules and not with the whole answer, with names."""
     of_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
     names: dict[str, list[str]] = {}
-    for rule in result.rules:
-        for text in rule.estimate.warnings:
+    for answer in answers(result):
+        if answer.rule is None or answer.impossible:
+            continue
+        for text in answer.estimate.warnings:
             if text not in of_answer:
-                names.setdefault(text, []).append(rule.name)
+                names.setdefault(text, []).append(answer.rule.name)
     return [
         f"rule{'s' if len(rules) > 1 else ''} {', '.join(rules)}: {text}"
         for text, rules in names.items()

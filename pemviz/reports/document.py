@@ -11,7 +11,7 @@ from typing import Literal
 
 from pemviz.charts.chart import Chart
 
-Tone = Literal["plain", "strong", "quiet"]
+Tone = Literal["plain", "strong", "large", "quiet"]
 Mark = Literal["yes", "no", "open"]
 
 
@@ -35,6 +35,11 @@ class Headline:
 
     text: str
     given: str = ""
+
+
+def headline_text(headline: Headline) -> str:
+    """The answer and what it is per, in one line."""
+    return ", ".join(filter(None, (headline.text, headline.given)))
 
 
 @dataclass(frozen=True)

@@ -177,12 +177,8 @@ def model_range_text(interval: ModelInterval | None) -> str:
 
 
 def beyond_default_text(result: RunResult) -> str:
-    """What of misses, tracker and measured distances the run goes beyond; empty where nothing."""
-    config, memory = result.config, result.memory
-    parts: list[str] = []
-    if memory is not None:
-        parts += [f"memory time {memory.tau_s:.3g} s"] if memory.tau_s else []
-        parts += [f"frailty {memory.frailty:.3g}"] if memory.frailty else []
+    """What of tracker and measured distances the run goes beyond; empty where nothing."""
+    config, parts = result.config, list[str]()
     if config.scenario.tracker != NO_TRACKER:
         parts.append(f"tracker {config.scenario.tracker}")
     if result.position_errors is not None:

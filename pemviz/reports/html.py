@@ -22,6 +22,7 @@ SHEET = f"""
 .{ROOT} ul, .{ROOT} ol {{ padding-left: 1.6em; }}
 .{ROOT} h3, .{ROOT} h4 {{ font-size: 1em; font-weight: 600; margin: 0.6em 0 0.2em; }}
 .{ROOT} .answer {{ font-size: 1.3em; font-weight: 650; margin: 0.1em 0; }}
+.{ROOT} .large {{ font-size: 1.15em; font-weight: 650; margin: 0.1em 0 0.3em; }}
 .{ROOT} .strong {{ font-weight: 600; }}
 .{ROOT} .quiet, .{ROOT} figcaption {{ color: #52606d; font-size: 0.93em; }}
 .{ROOT} .warn {{ border-left: 3px solid {VERMILLION}; background: #fdf3ec; padding: 0.2em 0.6em;

@@ -74,7 +74,7 @@ def _block(block: Block, *, level: int, prefix: str, marks: Marks) -> Iterator[s
                 yield f"{markdown_text(f'{block.given[0].upper()}{block.given[1:]}')}."
         case doc.Paragraph():
             text = markdown_text(block.text)
-            yield f"**{text}**" if block.tone == "strong" else text
+            yield f"**{text}**" if block.tone in ("strong", "large") else text
         case doc.Caution():
             yield f"{marks['open']} {markdown_text(block.text)}"
         case doc.Verdict():

@@ -11,15 +11,22 @@ from dataclasses import fields
 
 from pemviz.analysis.starts import DangerousStarts
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.toml_files import config_text
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.reports import answer_words, causes_words, charts, memory_words, plan_words
+from pemviz.reports import (
+    answer_words,
+    causes_words,
+    charts,
+    headline_words,
+    memory_words,
+    plan_words,
+)
 from pemviz.reports import document as doc
 from pemviz.reports import estimate_words as estimates
 from pemviz.reports.document import Block, Caution, Document, Paragraph, Section, figure
 from pemviz.reports.estimate_words import number_text, share_text
 from pemviz.reports.gate import GateDecision, GateOutcome
+from pemviz.runs.answers import answers
 from pemviz.runs.ranking import LEAST_ROBUST
 from pemviz.runs.result import RunMemory, RunResult
 from pemviz.runs.uncertainty import (
@@ -92,25 +99,14 @@ def _answer(result: RunResult, *, gate: GateDecision | None, running: bool) -> S
         title = "The run goes on" if running else f"No estimate: the run {result.status}"
         said = (doc.Headline(title), *status)
         return Section("answer", title, said, said)
-    probability = f"Failure probability {estimates.short_probability(estimate)}"
-    headline = doc.Headline(probability, _given(result))
-    brief = (headline, *status, *map(_quiet, _lines(result, estimate)))
-    full = (headline, *status, *_full(result, estimate, gate))
+    said = tuple(headline_words.headline_blocks(result, running=running))
+    brief = (*said, *status, *map(_quiet, _lines(result, estimate)))
+    full = (*said, *status, *_full(result, estimate, gate))
     return Section("answer", "Failure probability", brief, full)
 
 
 def _quiet(text: str) -> Paragraph:
     return Paragraph(text, tone="quiet")
-
-
-def _given(result: RunResult) -> str:
-    """What the probability is per, and takes for granted."""
-    logical_scenario = result.config.encounter.logical_scenario
-    is_encounter = logical_scenario != NO_LOGICAL_SCENARIO
-    occasion = f"encounter of {logical_scenario}" if is_encounter else "run"
-    beside = estimates.beyond_default_text(result)
-    beside = f"; with {beside}" if beside else ""
-    return f"in one {occasion}, if error model {result.pem.name} is right{beside}"
 
 
 def _status(result: RunResult, *, running: bool) -> list[Block]:
@@ -124,10 +120,10 @@ def _status(result: RunResult, *, running: bool) -> list[Block]:
 
 def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
     """What a line each tells of the answer."""
-    config, caveats = result.config, run_interval_caveats(result)
-    called = estimates.interval_name(estimate, caveats=caveats)
-    alone = "" if caveats else ", sampling alone; what else leaves it open is below"
-    yield f"{called} {estimates.interval_text(estimate, caveats=caveats)}{alone}"
+    config, first = result.config, answers(result)[0]
+    called = estimates.interval_name(first.estimate, caveats=first.caveats)
+    alone = "" if first.caveats else ", sampling alone; what else leaves it open is below"
+    yield f"{called} {estimates.interval_text(first.estimate, caveats=first.caveats)}{alone}"
     repeated = f" in {len(result.repetitions)} repetitions" * (len(result.repetitions) > 1)
     what = f"any of {len(config.rules)} rules" if config.rules else config.spec
     counted = estimates.violations_text(estimate) + estimates.missing_more_text(estimate)
@@ -231,13 +227,9 @@ def _diagnostics(result: RunResult, estimate: Estimate) -> Section:
 def _rules(result: RunResult) -> Section | None:
     if not result.rules:
         return None
-    table = answer_words.rules_table(result)
-    full = (
-        Paragraph("The probability above is of any of them being broken."),
-        table,
-        *map(Caution, answer_words.rule_warnings(result)),
-    )
-    return Section("rules", table.name, (table,), full)
+    table = headline_words.answers_table(result)
+    said = answer_words.rule_warnings(result)
+    return Section("rules", table.name, (table,), (table, *map(Caution, said)))
 
 
 def _rates(result: RunResult) -> Section | None:
@@ -255,7 +247,9 @@ def _memory(result: RunResult) -> Section:
     memory, title = result.memory, memory_words.MEMORY_TITLE
     lines = [Paragraph(line, "strong") for line in memory_words.assumption_lines(memory)]
     if memory is None or not lines:
-        return Section("memory", title, (), (Caution(memory_words.NOT_LOOKED_AT),))
+        table = None if memory is None else memory_words.measured_table(memory)
+        said = Caution(memory_words.NOT_LOOKED_AT) if table is None else table
+        return Section("memory", title, (), (said,))
     by_time = memory_words.BY_MEMORY_TIME
     table = memory_words.curve_table(memory, by_time)
     words = () if table is None else (table,)

@@ -379,7 +379,7 @@ def _side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> Iterator[S
         "refits",
         "model classes",
         "data alone",
-        "trust",
+        "sampling",
     )
     yield Section("answers", "Side by side", (), (*chart, Table(columns, rows)))
     yield Section("settings", "Settings that differ", (), tuple(_differences(runs)))

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 
 from pemviz.reports import document as doc
-from pemviz.reports.document import Block, Mark, cell_text
+from pemviz.reports.document import Block, Mark, cell_text, headline_text
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
 from pemviz.runs.result import RunResult
 
@@ -19,7 +19,7 @@ SIGNS: dict[Mark, str] = {
 }
 WIDE = 6
 """Tables of so many columns have to break their numbers' heads."""
-STYLES = {"plain": None, "strong": "bold", "quiet": None}
+STYLES = {"plain": None, "strong": "bold", "large": "bold", "quiet": None}
 
 
 def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> None:
@@ -60,7 +60,7 @@ def _print(console: Console, blocks: Iterable[Block]) -> None:
     for block in blocks:
         match block:
             case doc.Headline():
-                _line(console, f"{block.text} {block.given}".rstrip())
+                _line(console, headline_text(block))
             case doc.Paragraph():
                 indent = "  " if block.tone == "quiet" else ""
                 _line(console, f"{indent}{block.text}", style=STYLES[block.tone])
@@ -110,7 +110,7 @@ def plain_lines(blocks: Iterable[Block]) -> list[str]:
     for block in blocks:
         match block:
             case doc.Headline():
-                lines.append(f"{block.text} {block.given}".rstrip())
+                lines.append(headline_text(block))
             case doc.Paragraph() | doc.Code():
                 lines += block.text.splitlines()
             case doc.Caution():

@@ -55,6 +55,19 @@ class MeasuredTau:
 
 
 @dataclass(frozen=True)
+class MeasuredAnswer:
+    """The answer with a memory of misses that was measured on video.
+
+    Attributes:
+        name: Whose.
+        point: The memory, and the failure probability with it.
+    """
+
+    name: str
+    point: CurvePoint
+
+
+@dataclass(frozen=True)
 class RunMemory:
     """The memory of misses behind an answer.
 
@@ -66,6 +79,9 @@ class RunMemory:
         frailty: Spread of obstacles' own visibility that the answer is for; 0: all are equal.
         frailty_curve: The failure probability over frailties, likewise.
         hidden: Labels of the user's own hidden properties that the answer is for.
+        measured: The answer with memories that were measured: of other detectors, or the error
+            model's own; if the answer is for that, at the ends of its intervals.
+        unmeasured: Why there is none of these; empty where there is, and in older results.
     """
 
     tau_s: AtLeastZero
@@ -74,6 +90,8 @@ class RunMemory:
     frailty: AtLeastZero = 0.0
     frailty_curve: tuple[CurvePoint, ...] = ()
     hidden: tuple[str, ...] = ()
+    measured: tuple[MeasuredAnswer, ...] = ()
+    unmeasured: str = ""
 
     @property
     def is_independent(self) -> bool:
@@ -125,6 +143,8 @@ class RuleAnswer:
     name: str
     formula: str
     estimate: Estimate
+    measured: tuple[MeasuredAnswer, ...] = ()
+    """As :attr:`RunMemory.measured`."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ What a result.json may hold (schema 2):
   They follow from the rest of the document and are not kept when it is read.
 - The :class:`~pemviz.analysis.explanation.Explanation` as two entries, both null without one:
   ``sensitivity``, and its other fields under ``causes``.
+- ``measured`` in ``memory`` and in ``rules`` where the answer was looked at with memories that were
+  measured, else ``unmeasured`` in ``memory``: why not; neither in older results.
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
@@ -157,14 +159,21 @@ def result_document(result: RunResult) -> Table:
         ),
         **_unless_empty(
             rules=[
-                {**_fields_of(rule), "estimate": _estimate_table(result, rule.estimate)}
+                {
+                    **_without(_fields_of(rule), "measured"),
+                    "estimate": _estimate_table(result, rule.estimate),
+                }
                 for rule in result.rules
             ],
             per_hour=violation_rates(result),
             per_km=distance_rates(result),
             driven=result.driven,
         ),
-        "memory": result.memory,
+        "memory": (
+            None
+            if result.memory is None
+            else _without(_fields_of(result.memory), "measured", "unmeasured")
+        ),
         **_unless_empty(
             latents=result.latents, position_errors=result.position_errors, starts=result.starts
         ),
@@ -190,6 +199,11 @@ def result_document(result: RunResult) -> Table:
         "timings_s": dict(result.timings_s),
     }
     return cast(Table, _strict(document))
+
+
+def _without(table: Table, *names: str) -> Table:
+    """The table without those of these entries that are empty."""
+    return {name: value for name, value in table.items() if value or name not in names}
 
 
 def _unless_empty(**entries: Any) -> Table:

@@ -10,17 +10,29 @@ import numpy as np
 from pemviz.analysis.band_models import BandOutcomes, band_outcomes
 from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan, refit_plan, sequence_plan
 from pemviz.analysis.label_plan import LARGEST_SAMPLED, LabelPlan, label_plan, model_misses
-from pemviz.errors import PemError
+from pemviz.config import ExperimentConfig
+from pemviz.errors import ConfigError, PemError
 from pemviz.pem import Pem, load_pem, support_of
+from pemviz.pem.models.memory import Memory
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import Experiment
-from pemviz.runs.result import DrivenDistance, RunMemory, RunResult, own_memory
+from pemviz.runs.result import (
+    DrivenDistance,
+    MeasuredAnswer,
+    RuleAnswer,
+    RunMemory,
+    RunResult,
+    memory_of,
+    own_memory,
+)
+from pemviz.runs.specification import build_formula, build_problem
 from pemviz.runs.uncertainty import reference_diagnostics, run_interval_caveats
 from pemviz.sampling.bursts import curve as curves
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 from pemviz.sampling.problem import nothing_finished, sample
 from pemviz.sampling.rollouts.runners import run_here
+from pemviz.sampling.slots import turns_of
 from pemviz.sampling.state.composed import hidden_in, own_pem
 from pemviz.sampling.zero_variance.reference import (
     FEW_STATES,
@@ -37,6 +49,9 @@ SPAWN_KEY = 2**32 - 2
 """Of the child of the run's seed that rollouts for the distance are sampled by."""
 REFERENCE_SHARE, STEPS_OF_A_STATE = 0.2, 2
 """Of the steps that rollouts took, how many the recursion may; two outcomes follow a state."""
+FEWEST_MEASURED, MOST_MEASURED = 100, 600
+"""Rollouts for the answers with measured memories."""
+OWN_MEMORY = "this error model"
 EXAMPLE = "rrc"
 """The shipped model whose memory is an example for models of single frames."""
 
@@ -108,6 +123,77 @@ def _with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
     )
     curve, frailty_curve = (_with_answer(c, result, memory) for c in (over_tau, over_frailty))
     return replace(result, memory=replace(memory, curve=curve, frailty_curve=frailty_curve))
+
+
+def _with_measured(result: RunResult, *, experiment: Experiment) -> RunResult:
+    """A result with the answer, and that to each rule, with memories that were measured."""
+    memory = result.memory
+    if memory is None or result.estimate is None:
+        return result
+    reason = _unmeasured_because(experiment)
+    if reason is not None:
+        return replace(result, memory=replace(memory, unmeasured=reason))
+    memories = measured_memories(memory)
+    try:
+        found = _measured(experiment, memories, experiment.config)
+        rules = tuple(
+            replace(rule, measured=_measured(experiment, memories, _of_rule(experiment, rule)))
+            for rule in result.rules
+        )
+    except ConfigError as error:  # of a scenario with signals of a memory's names
+        return replace(result, memory=replace(memory, unmeasured=str(error)))
+    return replace(result, memory=replace(memory, measured=found), rules=rules)
+
+
+def _unmeasured_because(experiment: Experiment) -> str | None:
+    if not experiment.config.measured_memory:
+        return "measured_memory is switched off"
+    if memory_of(experiment.pem).hidden:
+        return "not with hidden properties of your own"
+    if turns_of(experiment.problem.simulator) > 1:
+        return "not with several slots; compare runs with other --memory-s"
+    twin = experiment.back_end.scenario_alone.twin
+    if twin is None or latent_counts(twin):
+        return "not without a fast twin whose start is fixed; --memory-curve may tell"
+    return None
+
+
+def measured_memories(memory: RunMemory) -> Sequence[tuple[str, Memory]]:
+    """Whose was measured; of the answer's own the ends of its intervals."""
+    own = memory.fitted
+    if own is None:
+        return tuple(curves.MEASURED.items())
+    if not memory.is_own:
+        return ((OWN_MEMORY, Memory(own.tau_s, own.frailty or 0.0)),)
+    here = Memory(memory.tau_s, memory.frailty)
+    ends = [replace(here, tau_s=tau_s) for tau_s in (own.low_s, own.high_s)]
+    known = (end for end in (own.frailty_low, own.frailty_high) if end is not None)
+    ends += [replace(here, frailty=frailty) for frailty in known]
+    return tuple((OWN_MEMORY, end) for end in ends)
+
+
+def _of_rule(experiment: Experiment, rule: RuleAnswer) -> ExperimentConfig:
+    return replace(experiment.config, rules=(), spec=rule.formula)
+
+
+def _measured(
+    experiment: Experiment, memories: Sequence[tuple[str, Memory]], asked: ExperimentConfig
+) -> tuple[MeasuredAnswer, ...]:
+    """The answers to what a configuration asks, on the fast twin."""
+    pem, back_end = own_pem(experiment.pem), experiment.back_end.scenario_alone
+    assert back_end.twin is not None  # noqa: S101  checked before
+    back_end = replace(back_end, simulator=back_end.twin)
+    problem = build_problem(asked, build_formula(asked, back_end.simulator), pem, back_end)
+    points = curves.memory_points(
+        replace(problem, pause=experiment.problem.pause, run_batches=run_here),
+        pem=pem,
+        features=back_end.features,
+        seed=asked.seed,
+        memories=[memory for _, memory in memories],
+        rollouts=min(MOST_MEASURED, max(FEWEST_MEASURED, experiment.planned_rollouts // 2)),
+    )
+    names = [name for name, _ in memories]
+    return tuple(map(MeasuredAnswer, names, points))
 
 
 def _with_answer(
@@ -264,5 +350,5 @@ def _sequences(experiment: Experiment) -> SequencePlan | None:
     return None if example is None else sequence_plan(example, example=EXAMPLE, is_own=False)
 
 
-IN_ORDER = (_with_distance, _with_curves, _with_data_plan, beside_reference)
+IN_ORDER = (_with_distance, _with_measured, _with_curves, _with_data_plan, beside_reference)
 """What is added to a result with the estimate of all repetitions; each may stop the run."""

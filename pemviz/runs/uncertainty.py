@@ -5,11 +5,12 @@ the sampling error to what the training data alone allow. Sources are not added 
 granted what the others doubt.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from pemviz.runs.result import RunMemory, RunResult
+from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.sampling.registry import by_name
@@ -175,28 +176,42 @@ def _model_classes(result: RunResult) -> UncertaintySource:
 
 
 def _memory(memory: RunMemory) -> UncertaintySource:
-    curve, over_frailty = memory.curve, memory.frailty_curve
-    assumed = f"{memory.tau_s:g} s assumed" if memory.tau_s > 0.0 else "taken as none"
-    if memory.frailty > 0.0:
-        assumed = f"{memory.tau_s:g} s and frailty {memory.frailty:g} assumed"
-    if memory.hidden:
-        assumed = f"{' and '.join(memory.hidden)} assumed"
-    name = f"memory of misses, {assumed}"
-    if curve:
-        between = f"{curve[0].tau_s:g} to {curve[-1].tau_s:g} s"
-        name = f"memory of misses, {between}"
-        if over_frailty:
-            name = f"memory {between}, frailty to {over_frailty[-1].frailty:g}"
-    measured, own = "", memory.fitted
-    if own is not None:
-        measured = f"measured {own.tau_s:.2g} s"
-        measured += f", frailty {own.frailty:.2g}" if own.frailty else ""
-    points = (*curve, *over_frailty)
+    points = (*memory.curve, *memory.frailty_curve, *(one.point for one in memory.measured))
+    low, high = ends_of(points)
     return UncertaintySource(
         kind="memory",
-        name=name,
-        low=min((point.low for point in points if point.low is not None), default=None),
-        high=max((point.high for point in points if point.high is not None), default=None),
-        note=measured,
-        narrowed_by="tracked video" if curve else "--memory-curve bounds it",
+        name=f"memory of misses, {_memory_words(memory)}",
+        low=low,
+        high=high,
+        note="",
+        narrowed_by="tracked video of this detector" if points else "--memory-curve bounds it",
+    )
+
+
+def _memory_words(memory: RunMemory) -> str:
+    """What was assumed of it, or over which memories the answer is known."""
+    if memory.curve:
+        between = f"{memory.curve[0].tau_s:g} to {memory.curve[-1].tau_s:g} s"
+        over_frailty = memory.frailty_curve
+        return between + (f", frailty to {over_frailty[-1].frailty:g}" if over_frailty else "")
+    own = memory.fitted
+    if memory.measured and own is not None and memory.is_own:
+        return f"its own, {own.low_s:.2g} to {own.high_s:.2g} s"
+    if memory.measured:
+        return "as measured on video"
+    if memory.hidden:
+        return f"{' and '.join(memory.hidden)} assumed"
+    parts = [f"{memory.tau_s:.2g} s"] if memory.tau_s else []
+    parts += [f"frailty {memory.frailty:.2g}"] if memory.frailty else []
+    if not parts:
+        return "taken as none"
+    return f"{', '.join(parts)} {'measured' if memory.is_own else 'assumed'}"
+
+
+def ends_of(points: Iterable[CurvePoint]) -> tuple[float | None, float | None]:
+    """The lowest and the highest end of answers' intervals; ``None`` without any."""
+    every = tuple(points)
+    return (
+        min((point.low for point in every if point.low is not None), default=None),
+        max((point.high for point in every if point.high is not None), default=None),
     )

@@ -100,7 +100,7 @@ def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
         "seeds without violation",
         "effective sample size",
         "largest Pareto k-hat",
-        "unreliable",
+        "sampling unreliable",
     )
     parts = [
         "# Sweep",
@@ -109,8 +109,8 @@ def summary_markdown(plan: Plan, states: Sequence[RunState]) -> str:
         markdown_table(header, [_row(*one) for one in by_setting(states).items()]),
         "Probability: median over the seeds, and the least and greatest estimate. A seed whose "
         "rollouts held no violation counts as 0. Effective sample size: median; below "
-        f"{SMALL_ESS:g}, do not quote an estimate. Unreliable: runs whose interval is none at its "
-        "level, so that nothing may be decided by them.",
+        f"{SMALL_ESS:g}, do not quote an estimate. Sampling unreliable: runs whose interval is "
+        "none at its level, so that nothing may be decided by them.",
     ]
     failed = [s for s in states if s.status == "failed"]
     if failed:

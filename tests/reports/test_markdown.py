@@ -92,7 +92,7 @@ def test_the_page_tells_the_whole_story():
     page = summary_markdown(result(one), gate=decide_gate(one, limit=1e-9))
     html = github().render(page)
     for part in (
-        "failure probability 2.0e-15",
+        "failure probability in one run: 2.0e-15",
         "2e-15 +- 1e-15",
         "✅ <strong>Gate passed",
         "always[0,99] (gap &gt;= 2.0)",

@@ -32,7 +32,7 @@ HARMLESS = {"div", "b", "svg", "g", "path", "rect", "line", "text", "tspan", "ti
 def test_a_result_shows_answer_interval_uncertainty_and_what_next():
     page = result(plan=PLAN)._repr_html_()
     for words in (
-        "Failure probability 2.0e-15",
+        "Failure probability in one run: 2.0e-15",
         "if error model ml-nn is right",
         "not a 95 % interval",
         "How far the answer is open",

@@ -72,8 +72,6 @@ def test_left_out_and_none_are_told_apart_in_files(tmp_path: Path):
 
 
 def test_models_are_compared_without_their_memory():
+    """With it ``rrc`` has 5e-3."""
     figures = compare_models(ExperimentConfig(), ["rrc", "ml-nn"], rollouts=50)
-    alone = compare_models(
-        ExperimentConfig(memory_s=0.0, frailty=0.0), ["rrc", "ml-nn"], rollouts=50
-    )
-    assert figures == alone
+    assert all(one.probability < 1e-12 for one in figures)

@@ -33,7 +33,8 @@ from tests.runs.results import results
 
 MAY_BE_NULL = re.compile(
     r"message|config\.(target|alpha|chains|max_rollouts|max_minutes|memory_s|frailty)"
-    r"|memory|memory\.fitted|memory\.(frailty_)?curve\[\d+\]\.(low|high|ess)"
+    r"|memory|memory\.fitted|memory\.((frailty_)?curve\[\d+\]|measured\[\d+\]\.point)\.(low|high|ess)"
+    r"|memory\.measured\[\d+\]\.point\.diagnostics\[\d+\]\.(value|limit)"
     r"|memory\.fitted\.frailty(_low|_high)?"
     r"|reference|reference\.log10_probability|pem_interval"
     r"|pem_interval\.(low|high|median|log10_answers\[\d+\])|data_bound"
@@ -52,7 +53,8 @@ MAY_BE_NULL = re.compile(
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|pem_interval\.log10_answers|model_classes|uncertainty|plan|plan\.labels\.warning|memory"
-    r"|memory\.(fitted|curve|frailty|frailty_curve|hidden)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
+    r"|memory\.(fitted|curve|frailty|frailty_curve|hidden|measured|unmeasured)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
+    r"|memory\.measured\[\d+\]\.point\.(frailty|diagnostics)"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats|try_next)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"
     r"|least_robust\[\d+\]\.share"

@@ -16,7 +16,7 @@ from pemviz.reports.charts import uncertainty_chart
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import MOST_WARNINGS
 from pemviz.reports.terminal import print_summary
-from pemviz.runs.result import MeasuredTau, RunMemory
+from pemviz.runs.result import MeasuredAnswer, MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.bursts.curve import CurvePoint
@@ -79,7 +79,14 @@ def test_memory_tells_what_is_assumed_and_what_was_measured():
     measured = MeasuredTau(tau_s=0.24, low_s=0.18, high_s=0.32, confidence=0.95)
     own = sources(result(memory=RunMemory(tau_s=0.1, fitted=measured)))["memory"]
     assert "0.1 s assumed" in own.name
-    assert own.note == "measured 0.24 s"
+    ends = tuple(
+        MeasuredAnswer("this error model", CurvePoint(tau_s, p, 0.9 * p, 1.1 * p, 50.0))
+        for tau_s, p in ((0.18, 1e-4), (0.32, 4e-4))
+    )
+    over = RunMemory(tau_s=0.24, fitted=measured, measured=ends)
+    own = sources(result(memory=over))["memory"]
+    assert own.name == "memory of misses, its own, 0.18 to 0.32 s"
+    assert (own.low, own.high) == pytest.approx((0.9e-4, 4.4e-4))
 
 
 def test_memory_is_bounded_by_the_curve_over_memory_times():

@@ -53,7 +53,13 @@ from pemviz.types import Diagnostic
 
 MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
 """Memory times of two detectors on KITTI's tracking sequences [s], by ``pemviz pem memory``, if all
-cars are taken to be equal; both were trained on these drives."""
+cars are taken to be equal: what frailty would explain passes for memory then. Both detectors were
+trained on these drives."""
+MEASURED = {
+    "RRC, a camera detector": Memory(0.25, 0.68),
+    "PointRCNN, a lidar detector": Memory(0.11, 0.83),
+}
+"""Memory time and frailty of the same, fitted together, by ``pemviz pem fit --memory``."""
 SHOWN_S = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Memory times at which the curve is shown [s]."""
 EXPLORED_U = 2.0
@@ -70,9 +76,8 @@ FRAIL_FITTED_S = (
 """The same where obstacles differ: some of all late, for independence is not known least then."""
 EXPLORED_S = (0.0, 0.1, 1.0)
 """Memory times whose models a family of exploration proposals is around, each [s]."""
-MEASURED_FRAILTY = {"RRC, a camera detector": 0.68, "PointRCNN, a lidar detector": 0.83}
-"""Frailties of the same detectors there, beside memory times of 0.25 and 0.11 s, by ``pemviz pem
-fit --memory``."""
+MEASURED_FRAILTY = {name: memory.frailty for name, memory in MEASURED.items()}
+"""Their frailties alone."""
 SHOWN_FRAILTY = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2)
 """Frailties at which the curve is shown."""
 FITTED_FRAILTY = (
@@ -95,6 +100,7 @@ METHOD = "mixture"
 """Whose intervals the curve's are like, where diagnostics are judged."""
 SEED_KEY = 2**32 - 3
 FRAILTY_SEED_KEY = 2**32 - 4
+POINTS_SEED_KEY = 2**32 - 5
 
 
 @dataclass(frozen=True)
@@ -209,6 +215,33 @@ def frailty_curve(
         seed_key=FRAILTY_SEED_KEY,
     )
     return _answers(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+
+
+def memory_points(
+    problem: Problem,
+    *,
+    pem: Pem,
+    features: StateFeatures,
+    seed: int,
+    memories: Sequence[Memory],
+    rollouts: int,
+) -> tuple[CurvePoint, ...]:
+    """The failure probability at a few memories, in their order, all from the same rollouts.
+
+    Arguments and errors are those of :func:`memory_curve`.
+    """
+    shown = tuple(dict.fromkeys(memories))
+    axis = _Axis(
+        shown=shown,
+        sought=shown,
+        fitted=(shown[0], *shown, LEAST_KNOWN, LEAST_KNOWN),
+        late=2,
+        explored=(*(Given(memory, EXPLORED_U) for memory in shown[:2]), Given(shown[0])),
+        seed_key=POINTS_SEED_KEY,
+    )
+    found = _answers(axis, problem, pem=pem, features=features, seed=seed, rollouts=rollouts)
+    by_memory = dict(zip(shown, found, strict=True))
+    return tuple(by_memory[memory] for memory in memories)
 
 
 def _answers(
