@@ -86,11 +86,11 @@ class Latents(Batch):
     Attributes:
         start: ``[N, S]``, seeds after them, standard normal under the model.
         start_mean: ``[N, S]``; 0 where nothing is moved.
-        start_sd: ``[N, S]``, 1 unless a proposal says less.
+        start_sd: ``[N, S]``, 1 unless a proposal says otherwise.
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
-        noise_sd: ``[N, T-1, M]``, likewise.
+        noise_sd: ``[N, T-1, M]``, 1 unless a proposal says less.
         start_choice: Log p - log q of the start ``[N]`` where a proposal chooses it among others
             and moves no mean; ``None`` elsewhere.
     """

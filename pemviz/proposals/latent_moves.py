@@ -7,6 +7,9 @@ those of the model do. With z, m and s vectors,
     q(z) = (N(z; m, 1) + N(z; m, s^2)) / 2
 
 so that half keeps the model's own spread, and no weight grows without bound where s is too small.
+Where violations lie on all sides s is above 1. Of many latents most means and spreads are alike;
+each fitted to its own values would be off by so much that together they hardly sample others
+(:mod:`pemviz.proposals.shrinkage`).
 
 Latents of a step get, with a probability c, means that are a polynomial of the state, else none
 (:class:`pemviz.latents.Latents`): c near 1 moves every step a little, a small c few steps far. The
@@ -48,13 +51,14 @@ from scipy.special import expit
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Rows, log_sum_exp
 from pemviz.latents import log_moved, log_share_moved, log_wide_and_narrow
 from pemviz.proposals.offset_logistic import Monomials
+from pemviz.proposals.shrinkage import Shrinkage, shrinkage
 
 NEVER = 0.03
 """Of rollouts, with no step moved where all steps are as likely."""
 START_SPREAD_RIDGE = 5.0
 """So many starts of spread 1 count beside those that a spread is fitted to."""
 LARGEST_MEAN = 8.0
-LEAST_SPREAD = 0.2
+LEAST_SPREAD, LARGEST_SPREAD = 0.2, 3.0
 SPREAD_RIDGE = 0.5
 """So many moved steps of spread 1 count beside those that a spread is fitted to."""
 ROUNDS = 8
@@ -223,9 +227,22 @@ def fit_start(start: FloatArray, weight: FloatArray, *, ridge: float) -> StartMo
 
     So many starts at 0 as ``ridge`` says, above 0, count beside those that means are fitted to.
     """
+    return _drawn_together(start, weight, ridge=ridge)[0]
+
+
+def _drawn_together(
+    start: FloatArray, weight: FloatArray, *, ridge: float
+) -> tuple[StartMoves, Shrinkage, Shrinkage]:
+    """The same, and how means and logs of spreads are drawn together."""
     total = float(weight.sum())
     mean = weight @ start / (total + ridge)
-    return StartMoves(mean, _start_spread(weight @ (start - mean) ** 2, total))
+    spread = _start_spread(weight @ (start - mean) ** 2, total)
+    of_means = shrinkage(mean, spread**2 / (total + ridge))
+    mean = of_means.of(mean)
+    log_spread = np.log(_start_spread(weight @ (start - mean) ** 2, total))
+    error = np.full(mean.size, 0.5 / (total + START_SPREAD_RIDGE))
+    of_spreads = shrinkage(log_spread, error)
+    return StartMoves(mean, np.exp(of_spreads.of(log_spread))), of_means, of_spreads
 
 
 def start_optimism(
@@ -235,19 +252,21 @@ def start_optimism(
 
     ``moves`` are those fitted by :func:`fit_start` with the other arguments.
     """
+    _, of_means, of_spreads = _drawn_together(start, weight, ridge=ridge)
     own = weight[:, None]
     total = (float(weight.sum()) - own).clip(0.0)
     sums, squares = weight @ start - own * start, weight @ start**2 - own * start**2
-    mean = sums / (total + ridge)
+    mean = of_means.of(sums / (total + ridge))
     around_mean = (squares - 2.0 * mean * sums + total * mean**2).clip(0.0)
-    without = StartMoves(mean, _start_spread(around_mean, total))
+    log_spread = np.log(_start_spread(around_mean, total))
+    without = StartMoves(mean, np.exp(of_spreads.of(log_spread)))
     return (moves.log_ratio(start) - without.log_ratio(start)).clip(0.0)
 
 
 def _start_spread(squares: FloatArray, total: FloatArray | float) -> FloatArray:
     """From sums of weighted squares and of the weights."""
     variance = (squares + START_SPREAD_RIDGE) / (total + START_SPREAD_RIDGE)
-    return np.sqrt(variance).clip(LEAST_SPREAD, 1.0)
+    return np.sqrt(variance).clip(LEAST_SPREAD, LARGEST_SPREAD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,6 +368,7 @@ def fit_means(
     none = LatentMeans.unmoved(
         start=latents.start.shape[1], noise=latents.noise.shape[1], basis=ridge.size
     )
+    none = replace(none, start=fit_start(chosen.start, own, ridge=float(ridge[0])))
     tried: list[LatentMeans] = []
     for means, parts in (
         (none, (all_steps, all_steps)),
@@ -357,7 +377,7 @@ def fit_means(
     ):
         found = _maximised(means, chosen, own, parts, ridge)
         for _ in range(ROUNDS if found.noise.size else 0):
-            found = next_round(found, chosen, own, ridge=ridge)
+            found = _maximised(found, chosen, own, _parts(found, chosen), ridge)
         tried.append(found)
 
     def penalised_likelihood(means: LatentMeans) -> float:
@@ -376,7 +396,8 @@ def next_round(
     means: LatentMeans, latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
 ) -> LatentMeans:
     """One round of expectation and maximisation; arguments as above, weights may be 0."""
-    return _maximised(means, latents, weight, _parts(means, latents), ridge)
+    found = _maximised(means, latents, weight, _parts(means, latents), ridge)
+    return replace(found, start=fit_start(latents.start, weight, ridge=float(ridge[0])))
 
 
 def scores(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
@@ -419,7 +440,7 @@ def _maximised(
     parts: tuple[FloatArray, FloatArray],
     ridge: FloatArray,
 ) -> LatentMeans:
-    """Means for given probabilities ``[L]`` that noise was moved, and that it could be."""
+    """Moves of noise for given probabilities ``[L]`` that it was moved, and that it could be."""
     basis, by_step, (part, able) = latents.basis, weight[latents.rollout], parts
     moved = basis * (by_step * part)[:, None]
     solved = np.linalg.solve(moved.T @ basis + np.diag(ridge), moved.T @ latents.noise)
@@ -431,12 +452,8 @@ def _maximised(
     of_spread = by_step * part * _narrow(before, latents)
     squares = of_spread @ (latents.noise - noise_means(basis, coefficients)) ** 2
     spread = np.sqrt((squares + SPREAD_RIDGE) / (of_spread.sum() + SPREAD_RIDGE))
-    return LatentMeans(
-        start=fit_start(latents.start, weight, ridge=float(ridge[0])),
-        noise=coefficients,
-        choice=before.choice + change,
-        sd=spread.clip(LEAST_SPREAD, 1.0),
-        once=before.once,
+    return replace(
+        before, noise=coefficients, choice=before.choice + change, sd=spread.clip(LEAST_SPREAD, 1.0)
     )
 
 

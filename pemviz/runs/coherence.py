@@ -287,7 +287,6 @@ def _kept_repetitions(
     """The violating rollouts of each repetition, and which rules each of them breaks."""
     every = np.flatnonzero(arrays["violated"])
     log_weight, log_p = _likelihoods(arrays, every)
-    detected = arrays["detected"]
     columns, broken = (
         {n.removeprefix(prefix): arrays[n][every] for n in arrays if n.startswith(prefix)}
         for prefix in (COLUMN, BROKEN)
@@ -311,8 +310,6 @@ def _kept_repetitions(
                 log_weight=log_weight[rows],
                 log_p=log_p[rows],
                 columns={name: values[rows] for name, values in columns.items()},
-                slots=detected.shape[2] if detected.ndim > 2 else 1,
-                starts=0 if result.latents is None else result.latents.start,
             )
         )
         rules.append({name: values[rows] for name, values in broken.items()})

@@ -65,8 +65,6 @@ class KeptRepetition:
         log_weight: ``[F]`` [nats].
         log_p: Log likelihood under the error model, ``[F]`` [nats].
         columns: What the method itself keeps, ``[F]`` by name.
-        slots: Outcomes of a step.
-        starts: Latents at the start.
         rule: Which the F break; ``None``: any.
     """
 
@@ -76,8 +74,6 @@ class KeptRepetition:
     log_weight: FloatArray
     log_p: FloatArray
     columns: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
-    slots: int = 1
-    starts: int = 0
     rule: str | None = None
 
     @property

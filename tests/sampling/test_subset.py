@@ -267,3 +267,30 @@ def test_no_level_lies_below_what_violates():
     error = np.std(found, ddof=1) / math.sqrt(len(found))
     assert error < 0.1 * stats.norm.sf(1.7)
     assert abs(np.mean(found) - stats.norm.sf(1.7)) < 4.0 * error
+
+
+def test_mirrored_latents_keep_their_size_and_reach_every_side():
+    """Of 4,000 rollouts each start has either sign in half, within five standard errors."""
+    shape = Shape(outcomes=3, start=3, steps=3, noise=2, seeds=1)
+    generator = np.random.default_rng(4)
+    numbers = shape.normals(generator, 4000)
+    spread = numbers.take(slice(1)).map(np.ones_like)
+    kind = np.full(4000, shape.mirrored)
+    found = moved(numbers, kind, shape=shape, scale=1.0, spread=spread, generator=generator)
+    for before, after in zip(numbers.each, found.each, strict=True):
+        np.testing.assert_array_equal(np.abs(after), np.abs(before))
+    np.testing.assert_array_equal(found.outcomes, numbers.outcomes)
+    np.testing.assert_array_equal(found.start[:, 2], numbers.start[:, 2])
+    mirrored = found.start[:, :2] == -numbers.start[:, :2]
+    together = np.mean(mirrored.all(axis=1))
+    # all in one of two, else each by a coin
+    for share, expected in ((mirrored[:, 0].mean(), 0.75), (together, 0.5 + 0.5 * 0.25)):
+        assert share == pytest.approx(expected, abs=5.0 * np.sqrt(0.25 / 4000))
+    sign = np.sign(found.noise * numbers.noise)
+    np.testing.assert_array_equal(sign, np.broadcast_to(sign[:, :1], sign.shape))
+
+
+def test_without_latents_nothing_is_mirrored():
+    shape = Shape(outcomes=4, start=0, steps=4, noise=0)
+    kinds = Tuning.begun(shape).chosen(5000, np.random.default_rng(0))
+    assert (kinds != shape.mirrored).all()

@@ -50,6 +50,8 @@ FAR_FACTOR = 3.0
 """Times the wanted half-width, beyond which more rollouts are to learn from, not only to count."""
 MARGIN = 1.1
 """By which the last stage aims below the wanted half-width, as what it brings varies."""
+CHECKED_SHARE = 0.2
+"""Of the rollouts that chains took, sampled at least in the last stage: they cost little beside."""
 PLAIN_CONFIDENCE = 0.999
 """Of the plain count's interval, in which the answer is to lie."""
 SECONDS = "seconds"
@@ -247,6 +249,8 @@ class AutoSampling:
         if not math.isfinite(half):
             return replace(method, final_rollouts=least)
         wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
+        if inner.explored is not None:
+            wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
         return replace(method, final_rollouts=max(int(min(wanted, left)), least))
 
     def is_done(self, state: AutoState) -> bool:

@@ -15,6 +15,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
 from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
+    SEARCHED_ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
     importance_sampling_estimate,
     log_stratified_error,
@@ -29,6 +30,8 @@ from pemviz.types import Diagnostic, Estimate
 COMPONENT, LOG_WEIGHT, FINAL_LOG_WEIGHT = "component", "log_weight", "final_log_weight"
 OF_COMPONENT, FINAL_OF_COMPONENT = "of_component", "final_of_component"
 """How many rollouts in all, or of the final batch, are sampled from what a rollout is."""
+ERROR_FACTOR = "error_factor"
+"""The factor on the standard error, of all alike."""
 NOT_KEPT = -1
 """In place of components that no violation was sampled from: they add nothing to an error."""
 PARTS_ADAPTATION = math.sqrt(2.0)
@@ -37,15 +40,24 @@ LogEstimate = tuple[float, float]
 """Log of an estimate and of its standard error."""
 
 
-def adaptation(*, turns: int, starts: int) -> float:
-    """The factor on the standard error, by outcomes of a step and latents at the start."""
-    return SLOTS_AND_STARTS_ADAPTATION if turns > 1 and starts > 1 else ADAPTATION
+def adaptation(*, turns: int, starts: int, searched: bool) -> float:
+    """The factor on the standard error, by outcomes of a step and latents at the start.
+
+    ``searched`` is whether chains have searched the latents.
+    """
+    if turns > 1 and starts > 1:
+        return SLOTS_AND_STARTS_ADAPTATION
+    return SEARCHED_ADAPTATION if searched else ADAPTATION
 
 
-def columns_of(pool: Pool, *, final: slice) -> dict[str, AnyArray]:
-    """Of each rollout ``[N]``: what it was sampled from, and its weights, under each rule too."""
+def columns_of(pool: Pool, *, final: slice, factor: float) -> dict[str, AnyArray]:
+    """Of each rollout ``[N]``: what it was sampled from, and its weights, under each rule too.
+
+    ``factor`` is that on the standard error.
+    """
     component, columns = pool.component, dict[str, AnyArray]()
     columns[COMPONENT] = component
+    columns[ERROR_FACTOR] = np.full(component.size, factor)
     columns[OF_COMPONENT] = np.bincount(component)[component]
     counts = np.bincount(component[final], minlength=int(component.max()) + 1)
     columns[FINAL_OF_COMPONENT] = counts[component]
@@ -64,7 +76,8 @@ def recounted(kept: KeptRepetition) -> Recounted:
     Raises:
         ValueError: The columns do not fit together.
     """
-    names = (COMPONENT, OF_COMPONENT, FINAL_OF_COMPONENT, LOG_WEIGHT, FINAL_LOG_WEIGHT)
+    of_components = COMPONENT, OF_COMPONENT, FINAL_OF_COMPONENT
+    names = (*of_components, LOG_WEIGHT, FINAL_LOG_WEIGHT, ERROR_FACTOR)
     columns = {name: kept.column(name) for name in names}
     found = {name: values for name, values in columns.items() if values is not None}
     if len(found) < len(names):
@@ -103,7 +116,8 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
         log_p=spread(kept.log_p, np.nan),
         frozen_log_weight=_filled(columns[FINAL_LOG_WEIGHT][final], last, np.nan),
         frozen=slice(count - last, None),
-        adaptation=adaptation(turns=kept.slots, starts=kept.starts),
+        # without a violation there is no error
+        adaptation=float(columns[ERROR_FACTOR].max(initial=ADAPTATION)),
     )
 
 

@@ -29,7 +29,13 @@ from pemviz.sampling.estimates.diagnostics import (
 )
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, log_shares
-from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
+from pemviz.sampling.mixture.fit import (
+    HIDDEN_LEAST_SCATTER,
+    HIDDEN_PRICE,
+    Fit,
+    FitSettings,
+    fits_to_failures,
+)
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.types import Diagnostic, Estimate, ScoredRollouts
@@ -51,9 +57,11 @@ def explored_fits(
     model = error_model(explored.scored.rollouts, terms)
     pool = _pool(explored.scored, (model,), terms)
     # what they count as under the error model, in place of a likelihood ratio
-    as_weighted = np.repeat(-explored.log_weight[:, None], pool.log_ratio.shape[1], axis=1)
-    pool = replace(pool, log_ratio=as_weighted)
-    fits = fits_to_failures(pool, basis, settings)
+    # all count alike: by what its run found, one run's would hide the modes that others met
+    pool = replace(pool, log_ratio=np.zeros_like(pool.log_ratio))
+    fits = fits_to_failures(
+        pool, basis, settings, least_scatter=HIDDEN_LEAST_SCATTER, price=HIDDEN_PRICE
+    )
     total = sum(fit.share for fit in fits)
     return tuple(replace(fit, share=fit.share / total) for fit in fits)
 

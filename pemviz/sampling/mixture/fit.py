@@ -28,6 +28,7 @@ from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_ratios
 from pemviz.sampling.mixture.failure_modes import (
+    LEAST_SCATTER,
     SAMPLE,
     WeightedRollouts,
     at_most,
@@ -197,10 +198,18 @@ def next_proposals(
     )
 
 
-def fits_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
+def fits_to_failures(
+    pool: Pool,
+    basis: PolynomialBasis,
+    settings: FitSettings,
+    *,
+    least_scatter: float = LEAST_SCATTER,
+    price: float = 1.0,
+) -> Sequence[Fit]:
     """The proposals nearest to the violating rollouts' distribution under the error model.
 
-    One for each failure mode that the rollouts tell apart, the largest share first.
+    One for each failure mode that the rollouts tell apart, the largest share first; how readily
+    they are told apart is what :func:`failure_modes_of` takes.
     """
     elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
     weight, exponent = smoothed(pool, elites, settings)
@@ -212,6 +221,8 @@ def fits_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) 
         means=first.means,
         ridge=_ridge(basis, settings, varied=pool.varied),
         noise_ridge=_noise_ridge(basis, settings),
+        least_scatter=least_scatter,
+        price=price,
     )
     if modes.share.size == 1:
         return (first,)
@@ -222,7 +233,7 @@ def fits_to_failures(pool: Pool, basis: PolynomialBasis, settings: FitSettings) 
         # smoothed anew, for a mode may have few rollouts where all together have many
         known = log_weight[own > 0.5]
         if settings.alpha is None and known.size:
-            least = _least_ess(known.size, settings.elites)
+            least = _least_ess(known.size, _enough(pool, settings))
             exponent = min(exponent, smoothing_exponent(known, least_ess=least))
         log_part = exponent * log_weight + np.log(np.maximum(own, np.finfo(float).tiny))
         part = np.zeros(pool.count)
@@ -420,9 +431,15 @@ def smoothed(pool: Pool, elites: Elites, settings: FitSettings) -> tuple[FloatAr
     """Weights ``[N]`` of the pool's rollouts, and the exponent that they are smoothed by."""
     exponent = settings.alpha
     if exponent is None:
-        least = _least_ess(elites.count, settings.elites)
+        least = _least_ess(elites.count, _enough(pool, settings))
         exponent = smoothing_exponent(pool.log_weight[elites.chosen], least_ess=least)
     return _weights(pool, elites, exponent), exponent
+
+
+def _enough(pool: Pool, settings: FitSettings) -> int:
+    """Effective sample size of a fit: as many rollouts as there are means of starts at least."""
+    starts = 0 if pool.latents is None else pool.latents.start.shape[1]
+    return max(settings.elites, starts)
 
 
 def _least_ess(count: int, elites: int) -> float:

@@ -245,7 +245,7 @@ class MixtureSampling:
             log_p=judged.log_p,
             frozen_log_weight=pool.weights_among(final),
             frozen=final,
-            adaptation=adaptation(turns=state.turns, starts=state.starts),
+            adaptation=_adaptation(state),
         )
         wrong = () if state.absorbing else (not_absorbing(),)
         disagree = disagreements(pool, final=final)
@@ -271,7 +271,9 @@ class MixtureSampling:
 
     def kept_columns(self, state: MixtureState) -> Mapping[str, AnyArray]:
         """What each rollout was sampled from, and its weights by the balance heuristic."""
-        return {} if state.pool is None else columns_of(state.pool, final=state.final)
+        if state.pool is None:
+            return {}
+        return columns_of(state.pool, final=state.final, factor=_adaptation(state))
 
     def _sampled(self, problem: Problem, state: MixtureState) -> SampledStage:
         """The next stage, as an interrupted run left it or else sampled."""
@@ -375,3 +377,8 @@ class MixtureSampling:
             before=pool.component[: pool.sampled - sum(state.frozen)],
             proposals=len(pool.proposals) + (0 if state.frozen else len(state.fits)),
         )
+
+
+def _adaptation(state: MixtureState) -> float:
+    searched = state.explored is not None
+    return adaptation(turns=state.turns, starts=state.starts, searched=searched)

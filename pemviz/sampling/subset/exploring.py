@@ -16,7 +16,7 @@ from pemviz.types import ScoredRollouts
 
 RUNS = 4
 """Of chains, beside the one that finds their levels."""
-APART = 4
+APART = 2
 """One in so many of the violations is kept: neighbours in a chain are nearly the same."""
 SPAWN_KEY = 2**32 - 3
 """Of the child of a repetition's seed that chains are sampled by."""

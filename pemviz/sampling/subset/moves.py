@@ -12,7 +12,9 @@ set (preconditioned Crank-Nicolson: Cotter, Roberts, Stuart, White 2013; as cond
 subset simulation: Papaioannou, Betz, Zwirglmaier, Straub 2015).
 
 Which numbers decide depends on the system: all a little, one start, what follows a certain step.
-So there are many kinds of moves, and those are chosen more often that moved scores before.
+So there are many kinds of moves, and those are chosen more often that moved scores before. Latents
+are mirrored too, some or all of them: what fails on one side may as well fail on the other, and no
+small move leads there. As that may leave scores as they are, it has a share of its own.
 """
 
 import math
@@ -27,6 +29,8 @@ MOST_PLACES = 32
 """Along a rollout, at which a window of steps that is moved begins."""
 EVEN_SHARE = 0.25
 """Of the moves, chosen whatever moved scores before."""
+MIRRORED_SHARE = 0.1
+"""Of the moves, where there are latents."""
 FORGETTING = 0.8
 """Of what moved scores at a level, how much counts at the next."""
 ACCEPTED = 0.44
@@ -90,9 +94,19 @@ class Shape:
         """How many kinds of moves there are.
 
         All numbers but seeds a little; some starts, by any angle; and from each place on all that
-        follows anew, a window by any angle, a window in another order.
+        follows anew, a window by any angle, a window in another order; last, latents mirrored.
         """
-        return 2 + 3 * self.places.size
+        return 3 + 3 * self.places.size
+
+    @property
+    def mirrored(self) -> int:
+        """Kind of the moves that mirror latents."""
+        return self.kinds - 1
+
+    @property
+    def latents(self) -> bool:
+        """Whether there are latents but seeds."""
+        return self.start > self.seeds or self.noise > 0
 
 
 @dataclass(frozen=True)
@@ -103,12 +117,14 @@ class Tuning:
         scale: Of small moves, in spreads of the numbers.
         tried: How often each kind was, ``[K]``.
         gain: By how much it moved scores in all, ``[K]``.
+        mirrors: Share of the last kind, whatever it moved.
         steps: How often ``scale`` was adapted since the level began.
     """
 
     scale: float
     tried: FloatArray
     gain: FloatArray
+    mirrors: float
     steps: int = 0
 
     @staticmethod
@@ -117,18 +133,23 @@ class Tuning:
         one = np.ones(shape.kinds)
         if not shape.start:
             one[1] = 0.0
-        return Tuning(scale=0.6, tried=one, gain=one.copy())
+        one[shape.mirrored] = 0.0
+        mirrors = MIRRORED_SHARE if shape.latents else 0.0
+        return Tuning(scale=0.6, tried=one, gain=one.copy(), mirrors=mirrors)
 
     def at_next_level(self) -> "Tuning":
         """With less of what was learned."""
         gain = np.where(self.gain > 0.0, FORGETTING * self.gain, 0.0)
-        return Tuning(self.scale, np.maximum(FORGETTING * self.tried, 1.0), gain)
+        return Tuning(self.scale, np.maximum(FORGETTING * self.tried, 1.0), gain, self.mirrors)
 
     def chosen(self, count: int, generator: np.random.Generator) -> IntArray:
         """Kinds of the next ``count`` moves, ``[count]``."""
         able = self.gain + self.tried > 0.0
-        mean = self.gain / np.maximum(self.tried, 1.0)
+        able[-1] = False
+        mean = np.where(able, self.gain / np.maximum(self.tried, 1.0), 0.0)
         share = (1.0 - EVEN_SHARE) * mean / mean.sum() + EVEN_SHARE * able / able.sum()
+        share *= 1.0 - self.mirrors
+        share[-1] = self.mirrors
         return generator.choice(share.size, size=count, p=share / share.sum())
 
     def learned(self, kind: IntArray, gain: FloatArray, accepted: BoolArray) -> "Tuning":
@@ -141,6 +162,7 @@ class Tuning:
             scale,
             self.tried + np.bincount(kind, minlength=size),
             self.gain + np.bincount(kind, weights=gain, minlength=size),
+            self.mirrors,
             self.steps + 1,
         )
 
@@ -168,7 +190,8 @@ def moved(
     count, fresh = numbers.count, shape.normals(generator, numbers.count)
     window = (kind[:, None] - 2) // shape.places.size
     small, of_start, anew, reordered = kind == 0, kind == 1, window == 0, window == 2
-    steps = _windows(kind, shape, generator) & (kind[:, None] > 1)
+    mirrors = kind == shape.mirrored
+    steps = _windows(kind, shape, generator) & (kind[:, None] > 1) & ~mirrors[:, None]
     some = generator.random((count, shape.start)) < generator.random((count, 1))
     if shape.start:  # one of them at least
         some[np.arange(count), generator.integers(shape.start, size=count)] = True
@@ -183,7 +206,24 @@ def moved(
         little = np.minimum(scale * own, 0.5 * np.pi)
         angle = np.where(small.reshape(each), little, np.where(block, far.reshape(each), 0.0))
         turned.append(np.cos(angle) * values + np.sin(angle) * new)
-    return RandomNumbers(*turned)
+    found = RandomNumbers(*turned)
+    return _mirrored(found, mirrors, shape, generator) if mirrors.any() else found
+
+
+def _mirrored(
+    numbers: RandomNumbers, rows: BoolArray, shape: Shape, generator: np.random.Generator
+) -> RandomNumbers:
+    """With latents of some ``rows [N]`` times -1: one in two times all, else each or not.
+
+    The noise of all steps is one, so far.
+    """
+    free = shape.start - shape.seeds
+    some = generator.random((numbers.count, free + shape.noise)) < 0.5
+    some |= generator.random((numbers.count, 1)) < 0.5
+    sign = np.where(some & rows[:, None], -1.0, 1.0)
+    start = numbers.start.copy()
+    start[:, :free] *= sign[:, :free]
+    return RandomNumbers(numbers.outcomes, start, numbers.noise * sign[:, None, free:])
 
 
 def _windows(kind: IntArray, shape: Shape, generator: np.random.Generator) -> BoolArray:
