@@ -81,10 +81,10 @@ def test_a_result_that_cannot_be_written_is_told_before_and_after(damaged, capsy
 
 
 def test_a_full_disk_is_told_in_one_line(capsys, monkeypatch):
-    def full(name):
+    def full(name, words):
         raise OSError(28, "No space left on device", "recordings/x")
 
-    monkeypatch.setattr("pemviz.cli.main._command", full)
+    monkeypatch.setattr("pemviz.cli.main.run_command", full)
     assert main(["record"]) == 3
     assert capsys.readouterr().err == "pemviz: No space left on device (recordings/x)\n"
 

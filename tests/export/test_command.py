@@ -23,7 +23,7 @@ def refused(words, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--format", "csv", "--rank", "175"], "rank = 175: must be from 1 to 174"),
+        (["--format", "csv", "--rank", "178"], "rank = 178: must be from 1 to 177"),
         (["--format", "csv", "--rank", "0"], "rank = 0: must be a whole number, at least 1"),
         (["--format", "xml"], "--format"),
         ([], "--format"),
@@ -63,7 +63,7 @@ def test_a_folder_without_rollouts_is_refused(sample_run, tmp_path, capsys):
     assert "there is no such folder" in refused([str(tmp_path / "none"), *words[1:]], capsys)
     rollouts = dict(np.load(sample_run / "rollouts.npz"))
     np.savez(tmp_path / "rollouts.npz", **rollouts | {"gap_m": rollouts["gap_m"][:, :-1]})
-    assert "gap_m has shape (174, 69), must have (174, 70)" in refused(words, capsys)
+    assert "gap_m has shape (177, 69), must have (177, 70)" in refused(words, capsys)
     np.savez(tmp_path / "rollouts.npz", **rollouts | {"gap_m": rollouts["gap_m"] * np.nan})
     if formats.find_spec("scenariogeneration"):
         words[2] = "openscenario"
