@@ -94,13 +94,15 @@ def fits(page):
         ),
     ],
 )
-def test_paper_runs_end_to_end(open_page, shots, preset, progress, last, counts):
+def test_paper_runs_end_to_end(open_page, shots, panel, preset, progress, last, counts):
     page = open_page()
     choose(page, "Preset", preset)
+    panel.gate.shut()  # or it is over before anyone has looked
     run(page)
     page.get_by_text(re.compile(progress)).wait_for()
     assert page.get_by_role("button", name="Run", exact=True).is_disabled()
     tab(page, "Learning")
+    panel.gate.open()
     charted(page, "newest proposal").wait_for()
     page.screenshot(path=shots / "paper-running.png")
     expect_done(page)

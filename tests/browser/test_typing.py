@@ -57,5 +57,5 @@ def test_a_bad_formula_is_told_where_it_is_typed_and_is_not_run(open_page, shots
     page.locator("table[aria-label='Each rule by itself'] td", has_text="far").wait_for()
     tab(page, "Trajectories")
     choose(page, "Rule", "near")
-    page.get_by_text("in rule near first").wait_for()
+    page.get_by_text("in rule near", exact=False).first.wait_for()
     page.screenshot(path=shots / "ranking-of-a-rule.png")
