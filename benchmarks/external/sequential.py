@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from benchmarks.external.held import HeldState
 from benchmarks.external.motions import SURE, Flags, Numbers, Values
 
 QUARTER_PI = np.pi / 4.0
@@ -193,70 +194,29 @@ class SumOfErrors:
         return np.where(values["at_end"], left, np.inf)
 
 
+CART_RANGES = {"x": (-3.0, 3.0), "xd": (-3.0, 3.0), "th": (-0.3, 0.3), "thd": (-3.0, 3.0)}
 CART_START = (-0.0409, -0.0249, 0.0301, 0.0082)
-CART_GAINS = (0.35, 0.6, 8.0, 1.6)
 RAIL, LEAN = 2.4, 0.2095
-CART = ("x", "xd", "th", "thd")
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeldCartPole:
-    """CartPole-v1 of gymnasium's, whose controller goes by the state last detected.
-
-    Attributes:
-        base: Log-odds of a detection while the pole does not turn; 3 less for each rad/s.
-    """
+class HeldCartPole(HeldState):
+    """CartPole-v1 of gymnasium's, 0.02 s a step, whose controller goes by what was detected."""
 
     base: float = 4.0
-    starts: int = 0
-    noises: int = 0
-    misses: bool = True
+    slope: float = 3.0
     steps: int = 200
+    ranges = CART_RANGES
+    first = CART_START
+    gains = (0.35, 0.6, 8.0, 1.6)
 
-    @property
-    def shown(self) -> Mapping[str, tuple[float, float]]:
-        """Its state, how far what is held is off, and the room that is left, as a share."""
-        return {
-            "x": (-3.0, 3.0), "xd": (-3.0, 3.0), "th": (-0.3, 0.3), "thd": (-3.0, 3.0),
-            "err": (-0.3, 0.3), "rate_err": (-3.0, 3.0), "room": (-1.0, 1.0),
-        }  # fmt: skip
+    def later(self, values: Values, wanted: Numbers) -> Values:
+        """By Euler's method, pushed with 10 N either way."""
+        return pushed(values, np.where(wanted > 0.0, 10.0, -10.0))
 
-    @property
-    def spec(self) -> str:
-        """There is room left."""
-        return f"always[0,{self.steps}] (room >= 0.0)"
-
-    def begin(self, start: Numbers) -> Values:
-        """Where every rollout starts; that state is held."""
-        count = len(start)
-        state = {name: np.full(count, one) for name, one in zip(CART, CART_START, strict=True)}
-        return self._shown(state, {f"held_{name}": value for name, value in state.items()})
-
-    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
-        """0.02 s on, by Euler's method; once it has failed its state stays."""
-        held = {n: np.where(detected, values[n], values[f"held_{n}"]) for n in CART}
-        wanted = sum(gain * held[n] for gain, n in zip(CART_GAINS, CART, strict=True))
-        later = pushed(values, np.where(np.asarray(wanted) > 0.0, 10.0, -10.0))
-        going = values["room"] >= 0.0
-        state = {n: np.where(going, later[n], values[n]) for n in CART}
-        return self._shown(state, {f"held_{n}": held[n] for n in CART})
-
-    def _shown(self, state: Values, held: Values) -> Values:
-        room = np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
-        errors = {
-            "err": state["th"] - held["held_th"],
-            "rate_err": state["thd"] - held["held_thd"],
-            "room": room,
-        }
-        return {**state, **held, **errors}
-
-    def logit(self, values: Values) -> Numbers:
-        """The faster the pole turns, the less is detected."""
-        return self.base - 3.0 * np.abs(values["thd"])
-
-    def margin(self, values: Values) -> Numbers:
-        """The room that is left."""
-        return values["room"]
+    def room(self, state: Values) -> Numbers:
+        """To the ends of the rail, and to the lean that ends an episode."""
+        return np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
 
 
 def pushed(values: Values, force: Numbers) -> Values:
