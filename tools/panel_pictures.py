@@ -3,7 +3,7 @@
     python tools/panel_pictures.py --out FOLDER [--recordings recordings]
 
 Needs Chromium (``apt-get install chromium``), playwright and Pillow. The pictures show the newest
-run of ``mixture`` in the recordings folder, beside the newest ones of the paper's method and of
+run of ``auto`` in the recordings folder, beside the newest ones of the paper's method and of
 ``zero-variance``, whose curve over memory times another one shows, and those of the logical
 scenarios in folders of their own; a run that is not there is made first.
 """
@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("--browser", default="/usr/bin/chromium", help="Chromium's program")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    shown = newest(arguments.recordings, "mixture", "--reference")
+    shown = newest(arguments.recordings, "auto", "--reference")
     other = newest(arguments.recordings, "adaptive")
     curve = newest(arguments.recordings, "zero-variance", "--memory-curve")
     with sync_playwright() as playwright, server(arguments.recordings) as address:

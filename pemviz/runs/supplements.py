@@ -49,8 +49,9 @@ SPAWN_KEY = 2**32 - 2
 """Of the child of the run's seed that rollouts for the distance are sampled by."""
 REFERENCE_SHARE, STEPS_OF_A_STATE = 0.2, 2
 """Of the steps that rollouts took, how many the recursion may; two outcomes follow a state."""
-FEWEST_MEASURED, MOST_MEASURED = 100, 600
-"""Rollouts for the answers with measured memories."""
+MEASURED_ROLLOUTS = 600
+"""For the answers with measured memories, however small the run: of 20 seeds on ``paper`` 38 of 39
+unwarned intervals held the truth, from 300 rollouts 21 of 22, from 100 rollouts 2 of 10."""
 OWN_MEMORY = "this error model"
 EXAMPLE = "rrc"
 """The shipped model whose memory is an example for models of single frames."""
@@ -190,7 +191,7 @@ def _measured(
         features=back_end.features,
         seed=asked.seed,
         memories=[memory for _, memory in memories],
-        rollouts=min(MOST_MEASURED, max(FEWEST_MEASURED, experiment.planned_rollouts // 2)),
+        rollouts=MEASURED_ROLLOUTS,
     )
     names = [name for name, _ in memories]
     return tuple(map(MeasuredAnswer, names, points))

@@ -26,7 +26,7 @@ from tests.runs.recounts import assert_recounted
 
 SMALL = ExperimentConfig(
     stages=5, rollouts=40, final_rollouts=90, epochs=20, seed=3, plan=False,
-    spec="always[0,59] (gap >= 6.5)", scenario=ScenarioConfig(states=60),
+    spec="always[0,59] (gap >= 6.5)", scenario=ScenarioConfig(states=60), measured_memory=False,
 )  # fmt: skip
 RULES = {"near": "always[0,59] (gap >= 6.5)", "nearer": "always[0,59] (gap >= 6.2)"}
 CUT_IN = replace(
@@ -36,7 +36,7 @@ CUT_IN = replace(
     encounter=EncounterConfig(logical_scenario="cut-in", ghost_probability=0.05),
 )
 KINDS = {
-    "plain": SMALL,
+    "plain": replace(SMALL, measured_memory=True),
     "violations": replace(SMALL, keep="violations"),
     "repetitions": replace(SMALL, repetitions=3),
     "rules": replace(SMALL.with_rules(RULES), repetitions=2),
