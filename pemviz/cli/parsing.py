@@ -20,6 +20,11 @@ FRAME = re.compile("[\u2500-\u257f]+|-{4,}|^[|+]|[|+]$", re.MULTILINE)
 """Around a complaint, also where a terminal has no letters but ASCII's."""
 COLOUR = re.compile("\x1b\\[[0-9;]*m")
 MISSING = re.compile(r"Required options Missing from .*?: (?P<options>.*)")
+NO_NUMBER = re.compile(
+    r"Error parsing (?P<option>\S+): .*?(?:could not convert string to float"
+    r"|invalid literal for (?P<whole>int)\(.*?10): (?P<word>'.*?')"
+)
+"""Of a number, also one that may be left out."""
 PERCENT = re.compile(r"^(?P<number>\d+(\.\d+)?)%$")
 """A word that is a percentage stands for its share: 10% for 0.1."""
 
@@ -85,4 +90,7 @@ def one_line(complaint: str, *, command: str) -> str:
     if missing := MISSING.match(text):
         names = [part.split()[0] for part in missing["options"].split("(required)") if part.strip()]
         text = f"must be given: {', '.join(names)}"
+    if wrong := NO_NUMBER.match(text):
+        kind = "a whole number" if wrong["whole"] else "a number"
+        text = f"{wrong['option']} {wrong['word']}: must be {kind}"
     return f"{text.strip() or 'the arguments cannot be read'} (see {command} --help)"

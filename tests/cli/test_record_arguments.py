@@ -1,5 +1,6 @@
 import pytest
 
+from pemviz.cli.main import main
 from pemviz.cli.record_arguments import parse
 
 
@@ -21,3 +22,17 @@ from pemviz.cli.record_arguments import parse
 )
 def test_a_setting_that_the_method_does_not_look_at_is_told(words, lines):
     assert list(parse(words).notes) == lines
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--seed", "abc"], "--seed 'abc': must be a whole number (see pemviz record --help)"),
+        (["--precision", "x"], "--precision 'x': must be a number (see pemviz record --help)"),
+        (["--memory-s", "long"], "--memory-s 'long': must be a number (see pemviz record --help)"),
+        (["--chains", "1.5"], "--chains '1.5': must be a whole number (see pemviz record --help)"),
+    ],
+)
+def test_what_is_no_number_is_told_alike_where_it_may_be_left_out(words, complaint, capsys):
+    assert main(["record", *words]) == 2
+    assert capsys.readouterr().err == f"pemviz: {complaint}\n"
