@@ -12,7 +12,9 @@ so that none is left to a handful. Else all plain rollouts enter the pool of
 :class:`pemviz.sampling.mixture.method.MixtureSampling`, whose every weight they bound. Before its
 last stage its answer so far is looked at: where a diagnostic undermines it, or the half-width is
 far from h, learning goes on with twice the rollouts; else the last stage has as many as h takes.
-Its answer has to agree with the plain count.
+If only that stage shows what undermines the answer, it is learned from too, and learning goes on,
+as far as rollouts are left; but not from one so large that it comes in parts. The answer has to
+agree with the plain count.
 
 What is chosen follows from counts alone, so that the same seed gives the same answer on every
 machine, unless a time is set. Then what the stages took is kept beside their rollouts, and a run
@@ -155,6 +157,8 @@ class AutoSampling:
             state = replace(state, seconds=(*state.seconds, took_s))
             result = replace(result, kept={**result.kept, SECONDS: np.array(took_s)})
         if state.proposing is not None:
+            if proposing is not None and self.is_done(state):
+                return self._reconsidered(state, proposing.state, state.proposing, result)
             return self._with_next_stages(state, state.proposing), result
         if not state.sizes or self._left_s(state) <= 0.0:
             state = self._decided(problem, state)
@@ -233,7 +237,41 @@ class AutoSampling:
         self, state: AutoState, method: MixtureSampling, inner: MixtureState
     ) -> MixtureSampling:
         """Before the last stage: as many rollouts more as the answer so far asks for."""
-        found, pool = method.preview(inner), inner.pool
+        found = method.preview(inner)
+        drawn, left, least = self._counts(state, method, inner)
+        if self._is_far(found):
+            longer = self._longer(method, left=left, least=least)
+            if longer is not None:
+                return longer
+        half = found.relative_half_width
+        if not math.isfinite(half):
+            return replace(method, final_rollouts=least)
+        wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
+        if inner.explored is not None:
+            wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
+        return replace(method, final_rollouts=max(int(min(wanted, left)), least))
+
+    def _reconsidered(
+        self, state: AutoState, before: MixtureState, proposing: Proposing, result: StageResult
+    ) -> tuple[AutoState, StageResult]:
+        """After the last stage: learned from as well, if it shows what undermines the answer."""
+        method, inner = proposing.method, proposing.state
+        if len(inner.frozen) > 1 or not self._is_far(self.estimate(state)):
+            return state, result
+        _, left, least = self._counts(state, method, inner)
+        longer = self._longer(method, left=left, least=least)
+        if longer is None:
+            return state, result
+        # what was the last stage is one of those that learn
+        longer = replace(longer, learning_stages=longer.learning_stages + 1, final_rollouts=least)
+        inner, result = longer.learned_from_last(before, inner, result)
+        return replace(state, proposing=Proposing(longer, inner)), result
+
+    def _counts(
+        self, state: AutoState, method: MixtureSampling, inner: MixtureState
+    ) -> tuple[int, int, int]:
+        """Rollouts that proposals have drawn, that are left, and the last stage's at least."""
+        pool = inner.pool
         plain = 0 if inner.before is None else inner.before.count
         drawn = 0 if pool is None else pool.sampled - plain
         left, least = self.most - drawn, self.mixture.final_rollouts
@@ -241,17 +279,19 @@ class AutoSampling:
             within_s = method.rollouts * self._left_s(state) / max(state.seconds[-1], 1e-9)
             left = min(left, max(int(within_s), method.rollouts))
             least = min(least, left)
-        half = found.relative_half_width
-        if undermining(found.diagnostics, basis="weights") or half > FAR_FACTOR * self.precision:
-            more = max(self.mixture.learning_stages // 3, 1)
-            if more * 2 * method.rollouts + least <= left:
-                return method.extended(stages=more, rollouts=2 * method.rollouts)
-        if not math.isfinite(half):
-            return replace(method, final_rollouts=least)
-        wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
-        if inner.explored is not None:
-            wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
-        return replace(method, final_rollouts=max(int(min(wanted, left)), least))
+        return drawn, left, least
+
+    def _is_far(self, found: Estimate) -> bool:
+        """Whether an answer asks for more to learn from, not only to count."""
+        wrong = undermining(found.diagnostics, basis="weights")
+        return bool(wrong) or found.relative_half_width > FAR_FACTOR * self.precision
+
+    def _longer(self, method: MixtureSampling, *, left: int, least: int) -> MixtureSampling | None:
+        """The method with more stages of twice the rollouts, if so many are left."""
+        more, rollouts = max(self.mixture.learning_stages // 3, 1), 2 * method.rollouts
+        if more * rollouts + least > left:
+            return None
+        return method.extended(stages=more, rollouts=rollouts)
 
     def is_done(self, state: AutoState) -> bool:
         """Whether the answer is there."""

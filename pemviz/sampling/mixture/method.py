@@ -148,22 +148,50 @@ class MixtureSampling:
         )
         if last:
             return advanced, result
+        return self._learned(
+            advanced, result, first=0 if state.pool is None else state.pool.sampled
+        )
+
+    def learned_from_last(
+        self, before: MixtureState, drawn: MixtureState, result: StageResult
+    ) -> tuple[MixtureState, StageResult]:
+        """What the last stage was, once this method has further ones, that is learned from.
+
+        Args:
+            before: The state before that stage, whose rollouts came in one part.
+            drawn: The state after it.
+            result: Of the stage.
+        """
+        pool, basis = drawn.pool, drawn.basis
+        assert pool is not None  # noqa: S101  the stage joined it
+        assert basis is not None  # noqa: S101  the first stage set it
+        sampled = SampledStage(result.scored, None, Joining(result.scored))
+        pool = self._pooled(before, basis, sampled, pool.component[drawn.final])
+        learning = replace(drawn, pool=pool, frozen=())
+        return self._learned(learning, result, first=drawn.final.start)
+
+    def _learned(
+        self, state: MixtureState, result: StageResult, *, first: int
+    ) -> tuple[MixtureState, StageResult]:
+        """With proposals fitted to the pool, whose rollouts from ``first`` on are the newest."""
         began = time.perf_counter()
-        first = 0 if state.pool is None else state.pool.sampled
+        pool, basis = state.pool, state.basis
+        assert pool is not None  # noqa: S101  a stage joined it
+        assert basis is not None  # noqa: S101  the first stage set it
         plain = state.plain.after(pool, first=first, planned=self._planned_rollouts)
         fits = next_proposals(
             pool,
             basis,
             self.settings,
-            defensive=stages.defence(steps),
-            explores=self._explores(advanced.stage),
-            for_final=self._is_last(advanced),
+            defensive=stages.defence(state.steps),
+            explores=self._explores(state.stage),
+            for_final=self._is_last(state),
         )
-        advanced = self._with_explored(replace(advanced, plain=plain), fits, basis)
-        return advanced, replace(
+        state = self._with_explored(replace(state, plain=plain), fits, basis)
+        return state, replace(
             result,
-            kind="pretrain" if state.stage == 0 else "learn",
-            learned=stages.main_proposal(advanced, steps=steps),
+            kind="pretrain" if state.stage == 1 else "learn",
+            learned=stages.main_proposal(state, steps=state.steps),
             threshold=fits[-1].threshold,
             elites=fits[-1].elites,
             loss=fits[0].loss,
