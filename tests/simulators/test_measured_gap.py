@@ -156,7 +156,7 @@ def test_gaps_beyond_agms_bounds_count_as_the_bound_where_errors_may_lead_there(
     beyond = {name: np.full((1, PAPER.states), 10.0) for name in (GAP, EGO_SPEED, LEAD_SPEED)}
     beyond[GAP][:] = 25.2
     experiment = pemviz.build_experiment(config)
-    assert experiment.problem.robustness(beyond).tolist() == [(25.0 - 2.0) / 50.0]
+    assert experiment.problem.robustness(beyond).tolist() == pytest.approx([(25.0 - 2.0) / 50.0])
     for scenario in (PAPER, replace(PAPER, tracker="1/2,coast=0.2")):
         exact = replace(config, position_errors=None, scenario=scenario)
         problem = pemviz.build_experiment(exact).problem
