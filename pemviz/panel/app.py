@@ -4,17 +4,19 @@ import logging
 import threading
 import time
 from dataclasses import replace
+from typing import Any
 
 import viser
 
 from pemviz.config.toml_files import load_preset
 from pemviz.errors import InputError, PemvizError
 from pemviz.files.shipped import sample_run
+from pemviz.panel.arguments import Arguments
 from pemviz.panel.browser import Browser, Hub, Window
 from pemviz.panel.compare_tab import CompareTab
-from pemviz.panel.controller import Controller
+from pemviz.panel.controller import Controller, PanelState
 from pemviz.panel.experiment_tab import ExperimentTab
-from pemviz.panel.headline import Head
+from pemviz.panel.headline import Head, status_words
 from pemviz.panel.learning_tab import LearningTab
 from pemviz.panel.loading import load_run
 from pemviz.panel.page import COLUMN_PX
@@ -22,8 +24,12 @@ from pemviz.panel.process_memory import give_back
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.panel.recordings_tab import RecordingsTab
 from pemviz.panel.rollout_player import Player
+from pemviz.panel.run_place import RunPlace
+from pemviz.panel.run_summary import summary
+from pemviz.panel.runs_place import RunsPlace
 from pemviz.panel.scene import look_from_first_view
-from pemviz.panel.server import guarded_server
+from pemviz.panel.server import guarded_server, scene_of
+from pemviz.panel.site import Json, OwnPages, Page
 from pemviz.panel.trajectories_tab import TrajectoriesTab
 from pemviz.panel.weights_tab import WeightsTab
 from pemviz.panel.why_tab import WhyTab
@@ -34,6 +40,8 @@ FRAME_S = 1 / 12
 REFRESH_S = 0.2
 LIST_S = 2.0
 QUICK_ROLLOUTS = 200
+FORM = "form"
+"""Address, behind that of scenes, of the page with all controls of an experiment."""
 
 
 class Session:
@@ -66,7 +74,11 @@ class Session:
 
     def _build(self) -> None:
         browser = self.browser
+        gui = browser.client.gui
         with browser.client.atomic():
+            gui.set_panel_label("pemviz")
+            gui.main_panel.dock_left()
+            gui.main_panel.set_width(COLUMN_PX)
             self.head = Head(browser)
             self.player = Player(browser)
             tabs = browser.client.gui.add_tab_group()
@@ -150,11 +162,17 @@ class App:
         """
         self._hub = hub
         self._sessions: dict[int, Session] = {}
+        self._tokens: dict[int, str] = {}
         self._lock = threading.Lock()
-        self.server = server = guarded_server(host=host, port=port)
-        server.gui.set_panel_label("pemviz")
-        server.gui.main_panel.dock_left()
-        server.gui.main_panel.set_width(COLUMN_PX)
+        runs = RunsPlace(hub)
+        requests = {**runs.requests, **RunPlace(runs.run).requests, "stop": self._stop}
+        self._site = OwnPages(
+            requests,
+            version=lambda: hub.controller.state.version,
+            state=lambda: shared_state(hub.controller.state),
+            download=runs.download,
+        )
+        self.server = server = guarded_server(host=host, port=port, site=self._site)
         look_from_first_view(server)
         server.on_client_connect(self._connect)
         server.on_client_disconnect(self._disconnect)
@@ -173,13 +191,26 @@ class App:
             session.browser.close()
         self.server.stop()
 
+    def _stop(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        self._hub.controller.stop()
+        return True
+
     def _connect(self, client: viser.ClientHandle) -> None:
+        token = scene_of(self.server, client)
+        if token != FORM:
+            self._tokens[client.client_id] = token
+            self._site.connect_scene(token, client)
+            return
         session = Session(client, self._hub)
         with self._lock:
             self._sessions[client.client_id] = session
         session.thread.start()
 
     def _disconnect(self, client: viser.ClientHandle) -> None:
+        token = self._tokens.pop(client.client_id, None)
+        if token is not None:
+            self._site.disconnect_scene(token, client)
+            return
         with self._lock:
             session = self._sessions.pop(client.client_id, None)
         if session is not None:
@@ -187,6 +218,22 @@ class App:
             session.thread.join(10.0)
             del session
             give_back()
+
+
+def shared_state(state: PanelState) -> Json:
+    """What all pages are told: the run that is shown, and how far the one under way is."""
+    run, progress = state.run, state.progress
+    return {
+        "running": state.running,
+        "stopping": state.stopping,
+        "error": state.error,
+        "words": status_words(state),
+        "share": None if progress is None else progress.share,
+        "run": None if run is None else run.name,
+        "kept": 0 if run is None else run.kept,
+        "summary": None if run is None else summary(run.result, running=run.running),
+        "finished": state.finished_runs,
+    }
 
 
 def show_something(controller: Controller, recordings: RecordingsFolder) -> None:

@@ -48,15 +48,18 @@ def status(state: PanelState) -> str:
     """What runs, how far it is, what went wrong."""
     if state.error is not None:
         return block(f"<div role='alert'>{warning(state.error)}</div>")
+    return block(f"<div role='status'>{quiet(status_words(state))}</div>")
+
+
+def status_words(state: PanelState) -> str:
+    """What runs, and how far it is."""
     if not state.running:
-        return block(f"<div role='status'>{quiet('Ready.')}</div>")
+        return "Ready."
     if state.stopping:
-        words = "Stopping; what is finished is kept."
-    elif state.progress is None:
-        words = "Starting\N{HORIZONTAL ELLIPSIS}"
-    else:
-        words = _progress_text(state.progress)
-    return block(f"<div role='status'>{quiet(words)}</div>")
+        return "Stopping; what is finished is kept."
+    if state.progress is None:
+        return "Starting\N{HORIZONTAL ELLIPSIS}"
+    return _progress_text(state.progress)
 
 
 def _progress_text(progress: Progress) -> str:

@@ -2,15 +2,16 @@
 
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
+from pemviz.panel.run_summary import summary
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
@@ -31,6 +32,7 @@ class RunEntry:
 
     Attributes:
         unreliable: Why the estimate must not decide anything; empty if nothing speaks against it.
+        summary: Its line in the table of runs, see :mod:`pemviz.panel.run_summary`.
     """
 
     name: str
@@ -42,6 +44,7 @@ class RunEntry:
     unreliable: tuple[str, ...]
     has_recording: bool
     notes: str = ""
+    summary: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 class RecordingsFolder:
@@ -138,6 +141,43 @@ class RecordingsFolder:
             message = f"run {name}: notes cannot be written ({error.strerror or error})"
             raise InputError(message) from error
 
+    def set_aside(self, name: str) -> None:
+        """Take a run out of the list; :meth:`put_back` brings it back, :meth:`forget` deletes it.
+
+        Raises:
+            InputError: There is no such run, or somebody is at work in it.
+        """
+        folder = self.folder(name)
+        try:
+            with run_lock(folder):
+                folder.rename(self._aside(name))
+        except OSError as error:
+            message = f"run {name}: cannot be deleted ({error.strerror or error})"
+            raise InputError(message) from error
+
+    def put_back(self, name: str) -> None:
+        """Bring back a run that was set aside.
+
+        Raises:
+            InputError: There is none, or another has its name by now.
+        """
+        try:
+            self._aside(name).rename(self.root / name)
+        except OSError as error:
+            message = f"run {name[:80]!r}: cannot be brought back ({error.strerror or error})"
+            raise InputError(message) from error
+
+    def forget(self) -> None:
+        """Delete for good what was set aside."""
+        for folder in self.root.glob(".*.deleted"):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _aside(self, name: str) -> Path:
+        if Path(name).name != name or name[:1] in ("", "."):
+            message = f"run {name[:80]!r}: is no name of a run"
+            raise InputError(message)
+        return self.root / f".{name}.deleted"
+
     def delete(self, name: str) -> None:
         """Delete a run's folder for good.
 
@@ -178,6 +218,7 @@ class RecordingsFolder:
                 probability=None if result.estimate is None else result.estimate.probability,
                 unreliable=run_interval_caveats(result),
                 has_recording=(folder / "run.rrd").is_file(),
+                summary=summary(result),
             )
         self._entries[name] = (changed_s, entry)
         return entry

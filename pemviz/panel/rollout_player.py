@@ -125,12 +125,12 @@ def _limits(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
     return tuple(sorted(limits))
 
 
-def track_plots(chosen: Track) -> tuple[str, ...]:
+def track_plots(chosen: Track, *, width: int = PLOT_WIDTH) -> tuple[str, ...]:
     """The plots, each without its end, where :func:`with_cursor` puts a cursor."""
     names = (chosen.title, "Speeds", "Perception")
     return tuple(
-        svg_element(plot.group() + "@@", width=PLOT_WIDTH, height=HEIGHT, title=name).split("@@")[0]
-        for plot, name in zip(_plots(chosen), names, strict=True)
+        svg_element(plot.group() + "@@", width=width, height=HEIGHT, title=name).split("@@")[0]
+        for plot, name in zip(_plots(chosen, width=width), names, strict=True)
     )
 
 
@@ -143,7 +143,7 @@ def with_cursor(plots: Sequence[str], chosen: Track, step: int, *, speed: float)
         step_words(chosen, step),
     )
     shown: list[str] = []
-    for place, (drawn, plot) in enumerate(zip(plots, _axes(chosen), strict=True)):
+    for place, (drawn, plot) in enumerate(zip(plots, track_axes(chosen), strict=True)):
         x = plot.px(time_s)
         line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
         words = text(values[place], PLOT_WIDTH - MARGIN, plot.top - 9, anchor="end", color=CURSOR)
@@ -171,7 +171,8 @@ def step_words(chosen: Track, step: int) -> str:
     return ", ".join(wrong) or "no error"
 
 
-def _axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
+def track_axes(chosen: Track, *, width: int = PLOT_WIDTH) -> tuple[Plot, Plot, Plot]:
+    """The plots with nothing on them: where their axes lie."""
     drawn, signal = chosen.drawn, chosen.charted
     time = Axis(0.0, max(float(chosen.time_s[-1]), drawn.dt_s), "time [s]")
     low, high = (float(end([*chosen.values, *chosen.limits])) for end in (np.min, np.max))
@@ -179,7 +180,7 @@ def _axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
     value = Axis(low - margin, high + margin, signal_label(signal))
     fastest = max(float(np.max(drawn.states.speed_mps, initial=0.0)), 1.0)
     speed = Axis(0.0, fastest * 1.08, "speed [m/s]")
-    size = {"width": PLOT_WIDTH, "height": HEIGHT, "left": 42, "right": MARGIN, "top": 22}
+    size = {"width": width, "height": HEIGHT, "left": 42, "right": MARGIN, "top": 22}
     beside = LEGEND_BESIDE if len(drawn.cars) > MOST_INSIDE else MARGIN
     answers = Axis(-0.22, 1.04, "P(detected)", ticks=(0.0, 0.5, 1.0))
     room = {}
@@ -193,8 +194,8 @@ def _axes(chosen: Track) -> tuple[Plot, Plot, Plot]:
     )
 
 
-def _plots(chosen: Track) -> tuple[Plot, Plot, Plot]:
-    charted, speeds, perception = _axes(chosen)
+def _plots(chosen: Track, *, width: int) -> tuple[Plot, Plot, Plot]:
+    charted, speeds, perception = track_axes(chosen, width=width)
     drawn, time_s = chosen.drawn, chosen.time_s
     for limit in chosen.limits:
         label = f"{limit:g} {chosen.charted.unit}".strip() + ": limit"

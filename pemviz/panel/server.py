@@ -1,4 +1,7 @@
-"""A viser server that binds one address, answers only its own pages, and shares nothing."""
+"""A viser server that binds one address, answers only its own pages, and shares nothing.
+
+Pages of pemviz' own stand on the same port, beside viser's, which shows scenes.
+"""
 
 import contextlib
 import http
@@ -7,7 +10,7 @@ import ipaddress
 import socket
 import threading
 from collections.abc import Callable, Generator
-from typing import Any, cast
+from typing import Any, Protocol, cast
 from urllib.parse import urlsplit
 
 import viser
@@ -20,11 +23,29 @@ from pemviz.errors import InputError
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 HEADERS = {
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": "frame-ancestors 'self'",
+    "X-Frame-Options": "SAMEORIGIN",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
+"""Of every response that has none of its own: no page of others may frame it."""
+SCENES = "/scene/"
+"""Where viser's page stands: what follows tells whose scene it is."""
+TALK = "/talk"
+"""Where a page of our own talks to the server."""
+
+
+class Site(Protocol):
+    """The pages beside viser's."""
+
+    def respond(self, connection: ServerConnection, path: str) -> Response:
+        """The file at a path without its query."""
+        ...
+
+    async def talk(self, connection: ServerConnection) -> None:
+        """Answer a page until it goes."""
+        ...
+
 
 _PATCH = threading.Lock()
 _SERVE = websockets.asyncio.server.serve
@@ -109,21 +130,25 @@ def _is_address(host: str) -> bool:
     return False
 
 
-def guarded_server(*, host: str, port: int, closed: bool = False) -> viser.ViserServer:
+def guarded_server(*, host: str, port: int, site: Site | None = None) -> viser.ViserServer:
     """Start a viser server behind the guard.
 
     Args:
         host: Address to bind.
         port: Port to bind; 0 takes any free one.
-        closed: Refuse every request: for a server that only builds scenes.
+        site: The pages at its addresses but those of scenes; without one every request is
+            refused: for a server that only builds scenes.
 
     Raises:
         InputError: The address cannot be bound.
     """
     listening = bound_socket(host, port)
     bound_port = int(listening.getsockname()[1])
-    hosts = frozenset[str]() if closed else allowed_hosts(host, bound_port)
-    with _guarding(listening, hosts=hosts) as guarded, contextlib.redirect_stdout(io.StringIO()):
+    hosts = frozenset[str]() if site is None else allowed_hosts(host, bound_port)
+    with (
+        _guarding(listening, hosts=hosts, site=site) as guarded,
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
         server = viser.ViserServer(host=host, port=bound_port, verbose=False)
     if not guarded() or server.get_port() != bound_port:
         server.stop()
@@ -141,7 +166,7 @@ def _no_share(verbose: bool = True) -> None:
 
 @contextlib.contextmanager
 def _guarding(
-    listening: socket.socket, *, hosts: frozenset[str] | None
+    listening: socket.socket, *, hosts: frozenset[str] | None, site: Site | None
 ) -> Generator[Callable[[], bool], None, None]:
     """While a viser server starts, have it listen on our socket behind our guard.
 
@@ -155,13 +180,27 @@ def _guarding(
 
         def process(connection: ServerConnection, request: Request) -> Any:
             reason = refusal(request, hosts=hosts)
-            if reason is not None:
+            if reason is not None or site is None:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
-            return inner(connection, request)
+            path = urlsplit(request.path).path
+            if "websocket" in (request.headers.get("Upgrade") or "").lower():
+                known = path == TALK or path.startswith(SCENES)
+                return None if known else connection.respond(http.HTTPStatus.NOT_FOUND, "\n")
+            if path.startswith(SCENES):
+                request.path = "/"  # viser's page is one file
+                return inner(connection, request)
+            return site.respond(connection, path)
+
+        async def handle(connection: ServerConnection) -> None:
+            request = connection.request
+            if site is not None and request is not None and urlsplit(request.path).path == TALK:
+                await site.talk(connection)
+            else:
+                await ws_handler(connection)
 
         options.update(process_request=process, process_response=add_headers)
         used.set()
-        return _SERVE(ws_handler, sock=listening, **options)
+        return _SERVE(handle, sock=listening, **options)
 
     with _PATCH:
         module = cast(Any, websockets.asyncio.server)
@@ -173,6 +212,14 @@ def _guarding(
 
 
 def add_headers(connection: ServerConnection, request: Request, response: Response) -> None:  # noqa: ARG001
-    """Tell the browser that no page may frame this one, nor guess what a file is."""
+    """Tell the browser that no page of others may frame this one, nor guess what a file is."""
     for name, value in HEADERS.items():
-        response.headers[name] = value
+        if name not in response.headers:
+            response.headers[name] = value
+
+
+def scene_of(server: viser.ViserServer, client: viser.ClientHandle) -> str:
+    """What follows :data:`SCENES` in the address that a client of viser's connected to."""
+    connections = cast(Any, server)._websock_server._live_connections
+    connection = connections.get(client.client_id)
+    return "" if connection is None else connection.request.path.removeprefix(SCENES)

@@ -227,7 +227,7 @@ def chosen(word: str, meanings: Mapping[str, Value], name: str) -> Value:
     return meanings[word]
 
 
-def _opens_on(run: RunData) -> str:
+def opens_on(run: RunData) -> str:
     """The first rule that anything breaks, those about collisions before others."""
     ordered = rules_in_order(run.config.rules)
     final = (final_violations(run.rollouts, stages=run.result.stages, rule=r.name) for r in ordered)
@@ -287,7 +287,7 @@ class TrajectoriesTab:
             self._picked = None
             self.metric.value = run.config.metric
             self.rule.options = (EVERY_RULE, *(rule.name for rule in run.config.rules))
-            self.rule.value = opened = _opens_on(run)
+            self.rule.value = opened = opens_on(run)
             self.first.value = LEAST_ROBUST if opened == EVERY_RULE else LARGEST
             self.rule.visible = bool(run.config.rules)
         self._run = run

@@ -1,0 +1,214 @@
+"""What the page of a run asks for: its answer, its ranked rollouts, a rollout, pages beside it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pemviz.arrays import BoolArray
+from pemviz.charts.svg import Plot
+from pemviz.config import MetricName
+from pemviz.panel import learning_tab, weights_tab, why_tab
+from pemviz.panel.arguments import Arguments
+from pemviz.panel.page_scene import VIEWS
+from pemviz.panel.ranking import METRIC_NAMES, RankedRow, Ranking, rank, row, scoring
+from pemviz.panel.rollout_player import Track, step_words, track, track_axes, track_plots
+from pemviz.panel.run_data import RunData
+from pemviz.panel.run_summary import summary
+from pemviz.panel.site import Page, Request
+from pemviz.panel.trajectories_tab import details, opens_on
+from pemviz.reports.html import sections_html
+from pemviz.reports.run_document import run_document
+from pemviz.runs.answers import rules_in_order
+from pemviz.runs.drawn_rollout import RIGHT, WRONG
+
+MOST_ROWS = 200
+"""Of a ranking, in one answer."""
+ALL_RULES = "all rules"
+AMONG, FIRST = ("carrying", "all"), ("share", "least robust")
+DOCUMENTS: Mapping[str, tuple[str, ...]] = {
+    "uncertainty": ("answer", "rules", "uncertainty", "memory", "warnings", "models"),
+    "next": ("plan", "rates", "extrapolation"),
+    "record": ("question", "provenance", "assumptions", "configuration"),
+}
+"""Pages that are sections of the run's document, by name."""
+DRAWN: Mapping[str, Callable[[RunData], str]] = {
+    "learning": learning_tab.learning,
+    "weights": lambda run: weights_tab.weights_page(run, target="weights", selected=None),
+    "why": lambda run: why_tab.why(run, targets={"chain": "chain", "start": "start"}),
+}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which ranking of a run is looked at."""
+
+    metric: MetricName
+    rule: str | None
+    carrying: bool
+    by_share: bool
+
+
+class RunPlace:
+    """Looks at runs; what is chosen comes with every request, as it stands in the address."""
+
+    def __init__(self, find: Callable[[str], RunData]) -> None:
+        """``find`` gives a run by its name."""
+        self._find = find
+
+    @property
+    def requests(self) -> Mapping[str, Request]:
+        """What a page may ask for, by name."""
+        return {
+            "open": self._open,
+            "ranking": self._ranking,
+            "rollout": self._rollout,
+            "step": self._step,
+            "look": self._look,
+            "page": self._page,
+        }
+
+    def _open(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """The strip, and what there is to choose from, with what it opens on."""
+        run = self._find(asked.text("run"))
+        rules = [rule.name for rule in rules_in_order(run.config.rules)]
+        return {
+            "name": run.name,
+            "summary": summary(run.result, running=run.running),
+            "rules": [*rules, ALL_RULES] if rules else [],
+            "rule": opens_on(run) if rules else ALL_RULES,
+            "metrics": METRIC_NAMES,
+            "metric": run.config.metric,
+            "metric_unit": "" if run.config.metric == "agm" else "m",
+            "kept": run.kept,
+            "simulated": run.simulated,
+            "running": run.running,
+        }
+
+    def _ranking(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """Rows of the ranking from a place on; while scores are computed, how far they are."""
+        run = self._find(asked.text("run"))
+        choice = _choice(run, asked)
+        progress = scoring(run, choice.metric, rule=choice.rule)
+        if progress is not None:
+            return {"scored": progress.done, "of": progress.count}
+        ranking = _ranked(run, choice)
+        count = int(ranking.order.size)
+        start = asked.whole("start", 0, 10_000_000, 0)
+        end = min(start + asked.whole("count", 1, MOST_ROWS, 50), count)
+        return {
+            "count": count,
+            "among": ranking.among,
+            "start": start,
+            "rows": [_row(run, row(run, ranking, place)) for place in range(start, end)],
+        }
+
+    def _rollout(self, page: Page, asked: Arguments) -> Any:
+        """A rollout by its rank, or by its index in the run's tables; the scene shows it."""
+        run = self._find(asked.text("run"))
+        ranking = _ranked(run, _choice(run, asked))
+        count = int(ranking.order.size)
+        if not count:
+            return None
+        place = min(asked.whole("rank", 1, 100_000_000, 1), count) - 1
+        entry = row(run, ranking, place)
+        chosen = track(run, entry)
+        step = asked.whole("step", -1, 10_000_000, -1)
+        step = chosen.interesting_step if step < 0 else min(step, chosen.drawn.count - 1)
+        page.scene.show(chosen.drawn, step=step)
+        return {
+            "rank": place + 1,
+            "step": step,
+            "row": _row(run, entry),
+            "title": chosen.title,
+            "states": chosen.drawn.count,
+            "dt_s": chosen.drawn.dt_s,
+            "contact": chosen.drawn.contact_step,
+            "contact_words": chosen.drawn.contact_words,
+            **_timeline(chosen),
+            "charts": _charts(chosen, width=asked.whole("width", 200, 4000, 600)),
+            "details": details(run, entry, contact=chosen.drawn.contact_words),
+        }
+
+    def _step(self, page: Page, asked: Arguments) -> Any:
+        page.scene.at(asked.whole("step", 0, 10_000_000), follow=asked.flag("follow", True))
+        return True
+
+    def _look(self, page: Page, asked: Arguments) -> Any:
+        if asked.flag("move"):
+            page.scene.look(asked.choice("view", tuple(VIEWS), "from behind"))
+        page.scene.color(dark=asked.flag("dark"))
+        return True
+
+    def _page(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """A page beside the scene, as HTML."""
+        run = self._find(asked.text("run"))
+        name = asked.choice("page", (*DOCUMENTS, *DRAWN))
+        if name in DRAWN:
+            return DRAWN[name](run)
+        document = run_document(run.result, running=run.running)
+        return sections_html(document.choose(DOCUMENTS[name]))
+
+
+def _choice(run: RunData, asked: Arguments) -> Choice:
+    metrics: dict[str, MetricName] = {name: name for name in METRIC_NAMES}
+    rules = [rule.name for rule in run.config.rules]
+    rule = asked.choice("rule", (*rules, ALL_RULES), ALL_RULES)
+    return Choice(
+        metric=metrics[asked.choice("metric", METRIC_NAMES, run.config.metric)],
+        rule=None if rule == ALL_RULES else rule,
+        carrying=asked.choice("among", AMONG, AMONG[0]) == AMONG[0],
+        by_share=asked.choice("first", FIRST, FIRST[0]) == FIRST[0],
+    )
+
+
+def _ranked(run: RunData, choice: Choice) -> Ranking:
+    return rank(
+        run,
+        choice.metric,
+        among="carrying" if choice.carrying else "all",
+        by_share=choice.by_share,
+        rule=choice.rule,
+    )
+
+
+def _row(run: RunData, entry: RankedRow) -> Mapping[str, Any]:
+    return {
+        "rank": entry.rank,
+        "robustness": entry.robustness,
+        "violated": entry.violated,
+        "broken": entry.broken,
+        "share": entry.share,
+        "log_weight": entry.log_weight if run.method.has_likelihood_ratios else None,
+        "misses": entry.misses,
+        "stage": entry.stage,
+        "index": entry.index,
+    }
+
+
+def _timeline(chosen: Track) -> Mapping[str, Any]:
+    """What perception did at each step, and what is said at each state."""
+    drawn = chosen.drawn
+    end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
+    wrong: BoolArray = np.any(drawn.answers[:end] == WRONG, axis=1)
+    right: BoolArray = np.any(drawn.answers[:end] == RIGHT, axis=1)
+    return {
+        "misses": np.flatnonzero(wrong).tolist(),
+        "detections": np.flatnonzero(right & ~wrong).tolist(),
+        "signal": chosen.charted.name,
+        "unit": chosen.charted.unit,
+        "values": [round(float(value), 4) for value in chosen.values],
+        "speeds": [round(float(value), 3) for value in drawn.states.speed_mps[:, 0]],
+        "words": [step_words(chosen, step) for step in range(drawn.count)],
+    }
+
+
+def _charts(chosen: Track, *, width: int) -> list[Mapping[str, Any]]:
+    """The charts that share the timeline, with where their time axes lie."""
+    drawn = zip(track_plots(chosen, width=width), track_axes(chosen, width=width), strict=True)
+    return [{"svg": f"{svg}</svg>", **_span(plot)} for svg, plot in drawn]
+
+
+def _span(plot: Plot) -> Mapping[str, Any]:
+    return {"left": plot.left / plot.width, "right": plot.right / plot.width}

@@ -1,0 +1,246 @@
+// One run: the answer in a strip, the scene with its timeline, the ranked rollouts beside it.
+import { html, useCallback, useEffect, useRef, useState } from "/vendor/htm-preact.js";
+import * as address from "/address.js";
+import { ask, token } from "/talk.js";
+import { Charts, Timeline } from "/timeline.js";
+import { save } from "/save.js";
+
+const PAGES = [
+  ["rollouts", "Rollouts"], ["uncertainty", "Uncertainty"], ["learning", "Learning"],
+  ["weights", "Weights"], ["why", "Why"], ["next", "Next"], ["record", "Record"],
+];
+const AMONG = [["carrying", "what carries the answer"], ["all", "all rollouts"]];
+const FIRST = [["share", "largest contribution"], ["least robust", "least robust"]];
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
+const ROWS = 50;
+const VISER = "[data-floating-window],[data-dock-area],.mantine-Paper-root,.mantine-Affix-root,.mantine-Notifications-root{display:none!important}";
+
+export function Run({ name, at, state, dark, tell }) {
+  const [run, setRun] = useState(null);
+  const [rows, setRows] = useState(null);
+  const [rollout, setRollout] = useState(null);
+  const [step, setStep] = useState(0);
+  const [playing, setPlaying] = useState(false);
+  const [speed, setSpeed] = useState(1);
+  const [follow, setFollow] = useState(true);
+  const [width, setWidth] = useState(0);
+  const charts = useRef(null);
+  const asked = useRef(0);
+  const page = at.page ?? "rollouts";
+  const live = state?.run === name;
+  const version = live ? `${state.kept} ${state.running}` : "";
+  const set = useCallback((more) => address.write({ ...address.read(), place: "run", name, ...more }, { replace: true }), [name]);
+
+  useEffect(() => {
+    ask("open", { run: name }).then(setRun, (error) => tell(error.message));
+  }, [name, version]);
+  useEffect(() => {
+    const watch = new ResizeObserver(([entry]) => setWidth(Math.round(entry.contentRect.width)));
+    if (charts.current) watch.observe(charts.current);
+    return () => watch.disconnect();
+  }, [run !== null]);
+
+  const choice = run && {
+    run: name,
+    metric: at.metric ?? run.metric,
+    rule: at.rule ?? run.rule,
+    among: at.among ?? "carrying",
+    first: at.first ?? "share",
+  };
+  const chosen = choice && JSON.stringify(choice);
+  const rank = Math.max(1, Math.round(Number(at.rank)) || 1);
+  const start = Math.max(0, Math.floor((rank - 1) / ROWS) * ROWS);
+
+  useEffect(() => {
+    if (!chosen) return undefined;
+    let over = false;
+    const look = () => ask("ranking", { ...JSON.parse(chosen), start, count: ROWS }).then((found) => {
+      if (over) return;
+      setRows(found);
+      if ("of" in found) setTimeout(look, 300);
+    }, (error) => tell(error.message));
+    look();
+    return () => { over = true; };
+  }, [chosen, start, version]);
+
+  useEffect(() => {
+    if (!chosen || !width || !rows?.count) return;
+    const mine = ++asked.current;
+    const same = rollout?.rank === rank && rollout?.chosen === chosen;
+    const wanted = same ? step : at.step !== undefined && !rollout ? Number(at.step) : -1;
+    ask("rollout", { ...JSON.parse(chosen), rank, width, step: wanted }).then((found) => {
+      if (mine !== asked.current || !found) return;
+      setRollout({ ...found, chosen });
+      setStep(found.step);
+      if (!same) setPlaying(false);
+    }, (error) => tell(error.message));
+  }, [chosen, rank, width, rows?.count]);
+
+  const last = rollout ? rollout.states - 1 : 0;
+  const to = useCallback((next) => {
+    const kept = Math.min(Math.max(next, 0), last);
+    setStep(kept);
+    ask("step", { step: kept, follow }).catch(() => {});
+  }, [last, follow]);
+  useEffect(() => {
+    if (!playing || !rollout) return undefined;
+    const from = step >= last ? 0 : step;
+    const began = performance.now();
+    let shown = -1;
+    const timer = setInterval(() => {
+      const next = Math.min(from + Math.floor(((performance.now() - began) / 1000) * speed / rollout.dt_s), last);
+      if (next !== shown) to(next);
+      shown = next;
+      if (next === last) setPlaying(false);
+    }, 40);
+    return () => clearInterval(timer);
+  }, [playing, speed, rollout]);
+  useEffect(() => {
+    if (playing || !rollout) return undefined;
+    const timer = setTimeout(() => set({ step }), 200);
+    return () => clearTimeout(timer);
+  }, [step, playing, rollout]);
+  useEffect(() => { if (rollout) to(step); }, [follow]);
+
+  const view = at.view ?? "from behind";
+  const look = () => {
+    const next = view === "from behind" ? "from above" : "from behind";
+    set({ view: next });
+    ask("look", { move: true, view: next, dark });
+  };
+  const pick = (next) => set({ rank: Math.min(Math.max(next, 1), rows?.count ?? 1), step: "" });
+  const jump = (places, forward) => {
+    const found = forward ? places.find((one) => one > step) : places.findLast((one) => one < step);
+    if (found !== undefined) { setPlaying(false); to(found); }
+  };
+  useEffect(() => {
+    const typed = (event) => {
+      if (event.target.closest("input, textarea, select") || event.ctrlKey || event.metaKey || !rollout) return;
+      const by = event.shiftKey ? 10 : 1;
+      const act = {
+        ArrowLeft: () => { setPlaying(false); to(step - by); },
+        ArrowRight: () => { setPlaying(false); to(step + by); },
+        ArrowUp: () => pick(rank - 1),
+        ArrowDown: () => pick(rank + 1),
+        " ": () => setPlaying(!playing),
+        m: () => jump(rollout.misses, true),
+        M: () => jump(rollout.misses, false),
+        c: () => rollout.contact !== null && to(rollout.contact),
+        v: look,
+      }[event.key];
+      if (act) { event.preventDefault(); act(); }
+    };
+    addEventListener("keydown", typed);
+    return () => removeEventListener("keydown", typed);
+  });
+
+  if (!run) return html`<main class="page"><p class="quiet">Opening ${name} ...</p></main>`;
+  return html`<main class="run">
+    <${Strip} run=${run} set=${set} />
+    <section class="look">
+      <${Scene} />
+      ${rollout ? html`
+        <${Timeline} rollout=${rollout} step=${step} to=${(next) => { setPlaying(false); to(next); }} />
+        <div class="bar controls">
+          <button aria-label="A step back" onClick=${() => { setPlaying(false); to(step - 1); }}>\u25c2</button>
+          <button class="main" onClick=${() => setPlaying(!playing)}>${playing ? "Pause" : "Play"}</button>
+          <button aria-label="A step ahead" onClick=${() => { setPlaying(false); to(step + 1); }}>\u25b8</button>
+          <select aria-label="Speed" value=${speed} onChange=${(event) => setSpeed(Number(event.target.value))}>
+            ${SPEEDS.map((value) => html`<option value=${value}>${value}x</option>`)}</select>
+          <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, false)}>\u25c2 miss</button>
+          <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, true)}>miss \u25b8</button>
+          <button disabled=${rollout.contact === null} onClick=${() => to(rollout.contact)}>contact</button>
+          <span class="grow"></span>
+          <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
+          <button onClick=${look}>${view}</button>
+        </div>
+        <p class="values" data-step=${step}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
+          ego ${rollout.speeds[step]?.toFixed(1)} m/s, ${rollout.words[step]}</p>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
+      <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${last ? step / last : 0} name=${`${name}-rank${rollout.rank}`} rollout=${rollout} />`}</div>
+    </section>
+    <aside>
+      <nav aria-label="Pages of the run">${PAGES.map(([key, words]) => html`<a href="#" aria-current=${page === key ? "page" : undefined}
+        onClick=${(event) => { event.preventDefault(); set({ page: key === "rollouts" ? "" : key }); }}>${words}</a>`)}</nav>
+      ${page === "rollouts"
+        ? html`<${Ranking} run=${run} choice=${choice} rows=${rows} rank=${rank} pick=${pick} set=${set} rollout=${rollout} start=${start} />`
+        : html`<${Page} name=${name} page=${page} version=${version} tell=${tell} set=${set} />`}
+    </aside>
+  </main>`;
+}
+
+function Strip({ run, set }) {
+  const { summary } = run;
+  const [open, setOpen] = useState(false);
+  if (!summary.headline) return html`<section class="strip"><div>${run.name}: ${summary.sampling}</div></section>`;
+  const doubts = summary.warnings.length;
+  return html`<section class="strip" aria-label="Answer">
+    <div class="answer">${summary.headline}</div>
+    <div class="facts">${summary.act_on && html`<b>To act on: ${summary.act_on}</b>`}
+      ${summary.decided_by && html`<span class="tag">decided by ${summary.decided_by}</span>`}
+      <span class=${summary.sampling_holds ? "yes" : "no"}>${summary.sampling_holds ? "\u2713 sampling ok" : "\u2717 sampling does not hold"}</span>
+      ${doubts > 0 && html`<button class="link" aria-expanded=${open} onClick=${() => setOpen(!open)}>${doubts} warning${doubts > 1 ? "s" : ""} ${open ? "\u25b4" : "\u25be"}</button>`}
+      <span class="grow"></span><span class="quiet">${run.name}, ${summary.method}, ${run.simulated.toLocaleString("en")} rollouts</span>
+      <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/result.json`} download>result.json</a>
+      <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/ranking.csv`} download>ranking.csv</a>
+    </div>
+    ${open && html`<ul class="warnings">${summary.warnings.map((text) => html`<li>${text}</li>`)}</ul>`}
+  </section>`;
+}
+
+function Scene() {
+  const hide = (event) => {
+    const style = event.target.contentDocument.createElement("style");
+    style.textContent = VISER;
+    event.target.contentDocument.head.append(style);
+  };
+  return html`<iframe class="scene" title="Scene" src=${`/scene/${token}`} onLoad=${hide}></iframe>`;
+}
+
+const number = (value) => (value == null ? "\u2013" : Math.abs(value) >= 0.01 && Math.abs(value) < 1000 || value === 0
+  ? value.toFixed(3) : value.toPrecision(3)).replace("-", "\u2212");
+
+function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
+  const select = (key, options) => html`<select aria-label=${key} value=${choice[key]}
+    onChange=${(event) => set({ [key]: event.target.value, rank: "", step: "" })}>
+    ${options.map(([value, words]) => html`<option value=${value}>${words}</option>`)}</select>`;
+  const same = (values) => values.map((value) => [value, value]);
+  const ruled = run.rules.length > 0;
+  const shown = rows?.rows ?? [];
+  return html`<div class="ranking">
+    <div class="bar"><label>ranked by ${select("metric", same(run.metrics))}</label>
+      <label>among ${select("among", AMONG)}</label><label>first ${select("first", FIRST)}</label>
+      ${ruled && html`<label>rule ${select("rule", same(run.rules))}</label>`}</div>
+    ${rows && "of" in rows && html`<p class="quiet">Scored so far: ${rows.scored.toLocaleString("en")} of ${rows.of.toLocaleString("en")} rollouts.</p>`}
+    <div class="scroll"><table aria-label="Ranking"><thead><tr>
+      <th class="n">rank</th><th class="n">robustness${run.metric_unit ? " [m]" : ""}</th><th>${ruled ? "breaks" : "violates"}</th>
+      <th class="n">of the answer</th><th class="n">misses</th><th class="n">log weight</th><th class="n">stage</th></tr></thead>
+      <tbody>${shown.map((row) => html`<tr key=${row.rank} aria-selected=${row.rank === rank} onClick=${() => pick(row.rank)}>
+        <td class="n">${row.rank}</td><td class="n">${number(row.robustness)}</td>
+        <td>${ruled ? (row.broken.length ? html`<b class="no">\u2716</b> ${row.broken.join(", ")}` : "none") : row.violated ? html`<b class="no">\u2716 yes</b>` : "no"}</td>
+        <td class="n">${row.share ? `${(100 * row.share).toPrecision(2)} %` : ""}</td><td class="n">${row.misses}</td>
+        <td class="n">${number(row.log_weight)}</td><td class="n">${row.stage}</td></tr>`)}</tbody></table></div>
+    ${rows?.count > 0 && html`<p class="quiet bar"><span>${start + 1} to ${Math.min(start + ROWS, rows.count)} of ${rows.count.toLocaleString("en")}${
+        rows.among === "carrying" ? " that carry the answer" : ""}</span><span class="grow"></span>
+      <button disabled=${start === 0} onClick=${() => pick(start - ROWS + 1)}>before</button>
+      <button disabled=${start + ROWS >= rows.count} onClick=${() => pick(start + ROWS + 1)}>after</button></p>`}
+    ${rollout && html`<div dangerouslySetInnerHTML=${{ __html: rollout.details }}></div>`}
+  </div>`;
+}
+
+function Page({ name, page, version, tell, set }) {
+  const [content, setContent] = useState(null);
+  useEffect(() => {
+    setContent(null);
+    ask("page", { run: name, page }).then(setContent, (error) => tell(error.message));
+  }, [name, page, version]);
+  const clicked = (event) => {
+    const one = event.target.closest("[data-number]");
+    const target = one?.closest("[data-target]")?.dataset.target;
+    if (target) ask("pick", { run: name, target, number: Number(one.dataset.number) }).then(
+      (found) => found && set({ ...found, step: "", page: "" }), (error) => tell(error.message));
+  };
+  if (content === null) return html`<p class="quiet">...</p>`;
+  return html`<div><div class="bar"><span class="grow"></span><button onClick=${(event) =>
+      event.target.closest("aside").querySelectorAll("svg").forEach((svg, place) => save(svg, `${name}-${page}-${place + 1}`))}>PNG of the charts</button></div>
+    <div class="pemviz document" onClick=${clicked} dangerouslySetInnerHTML=${{ __html: content }}></div></div>`;
+}

@@ -1,0 +1,37 @@
+// When perception missed and what happened, and the charts that share this time.
+import { html, useRef } from "/vendor/htm-preact.js";
+import { csv, save } from "/save.js";
+
+export function Timeline({ rollout, step, to }) {
+  const bar = useRef(null);
+  const last = rollout.states - 1;
+  const at = (place) => `${(100 * place) / Math.max(last, 1)}%`;
+  const drag = (event) => {
+    if (event.type === "pointerdown") event.target.setPointerCapture?.(event.pointerId);
+    if (event.type === "pointermove" && !event.buttons) return;
+    const box = bar.current.getBoundingClientRect();
+    to(Math.round(((event.clientX - box.left) / box.width) * last));
+  };
+  const events = [
+    ["first miss", rollout.misses[0]], ["last miss", rollout.misses.at(-1)], ["contact", rollout.contact],
+  ].filter(([, place]) => place != null);
+  return html`<div class="timeline" ref=${bar} role="slider" tabindex="0" aria-label="Step" aria-valuemin="0"
+      aria-valuemax=${last} aria-valuenow=${step} onPointerDown=${drag} onPointerMove=${drag}>
+    ${rollout.detections.map((place) => html`<i class="hit" style=${{ left: at(place) }}></i>`)}
+    ${rollout.misses.map((place) => html`<i class="miss" style=${{ left: at(place) }}></i>`)}
+    ${rollout.contact !== null && html`<i class="contact" style=${{ left: at(rollout.contact) }}></i>`}
+    ${events.map(([words, place]) => html`<span class=${place > last / 2 ? "event left" : "event"} style=${{ left: at(place) }}>${words}</span>`)}
+    <b style=${{ left: at(step) }}></b>
+  </div>`;
+}
+
+export function Charts({ charts, share, name, rollout }) {
+  const holder = useRef(null);
+  const table = () => csv(`${name}.csv`, ["time_s", rollout.signal, "ego_speed_mps", "perception"],
+    rollout.values.map((value, step) => [(step * rollout.dt_s).toFixed(4), value, rollout.speeds[step], rollout.words[step]]));
+  return html`<div ref=${holder}>${charts.map((chart, place) => html`<div class="chart" key=${place}>
+      <div dangerouslySetInnerHTML=${{ __html: chart.svg }}></div>
+      <b style=${{ left: `${100 * (chart.left + share * (chart.right - chart.left))}%` }}></b></div>`)}
+    <p class="bar"><span class="grow"></span><button onClick=${() => holder.current.querySelectorAll("svg").forEach((svg, place) =>
+      save(svg, `${name}-${place + 1}`))}>PNG</button><button onClick=${table}>CSV</button></p></div>`;
+}
