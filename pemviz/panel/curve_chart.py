@@ -7,6 +7,7 @@ import numpy as np
 from viser import GuiUplotHandle, uplot
 
 from pemviz.arrays import FloatArray
+from pemviz.charts.svg import Axis, Plot
 from pemviz.panel.browser import Browser
 from pemviz.panel.run_data import RunData
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
@@ -18,6 +19,7 @@ HEIGHT_PX = 250
 PADDING_PX = (10, 14, 0, 0)
 INK, GRID = "#1f2933", "#e4e7eb"
 FONT = "11px system-ui, sans-serif"
+LEGEND_ROW_PX = 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,30 @@ def over_time(run: RunData, title: str, lines: Sequence[Line], *, touch_color: s
         values = np.full(run.time_s.size, CAMERA_TO_BUMPER_M)
         touch = [Line("bumpers touch [m]", values, touch_color, width=1.0)]
     return Curves(title, run.time_s, "time [s]", signal_label(run.charted), (*lines, *touch))
+
+
+def curves_svg(curves: Curves, *, width: int = 420, height: int = 240) -> str:
+    """The same curves as a picture, with a legend beneath."""
+    finite = [line.values[np.isfinite(line.values)] for line in curves.lines]
+    known = np.concatenate([*finite, np.zeros(1)]) if curves.y_range is None else np.zeros(1)
+    low, high = curves.y_range or (float(known.min()), float(known.max()))
+    room = 0.06 * (high - low) or 1.0
+    rows = len(curves.lines)
+    plot = Plot(
+        title=curves.title,
+        x=Axis(float(curves.x[0]), float(curves.x[-1]), curves.x_label),
+        y=Axis(low, high + room, curves.y_label),
+        width=width,
+        height=height + LEGEND_ROW_PX * rows,
+        bottom=LEGEND_ROW_PX * rows + 40,
+    )
+    entries: list[tuple[str, str, str]] = []
+    for line in curves.lines:
+        dash = " ".join(f"{length:g}" for length in line.dash)
+        plot.line(curves.x, line.values, color=line.color, width=line.width, dash=dash)
+        entries.append((line.name, line.color, dash))
+    plot.legend(entries, x=plot.left, y=plot.bottom + 44)
+    return plot.text()
 
 
 class Chart:

@@ -1,5 +1,6 @@
 """What the page of a run asks for: its answer, its ranked rollouts, a rollout, pages beside it."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +10,9 @@ import numpy as np
 from pemviz.arrays import BoolArray
 from pemviz.charts.svg import Plot
 from pemviz.config import MetricName
-from pemviz.panel import learning_tab, weights_tab, why_tab
+from pemviz.panel import compare_tab, learning_tab, weights_tab, why_tab
 from pemviz.panel.arguments import Arguments
+from pemviz.panel.curve_chart import Curves, curves_svg
 from pemviz.panel.page_scene import VIEWS
 from pemviz.panel.ranking import METRIC_NAMES, RankedRow, Ranking, rank, row, scoring
 from pemviz.panel.rollout_player import Track, step_words, track, track_axes, track_plots
@@ -18,6 +20,7 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
 from pemviz.panel.site import Page, Request
 from pemviz.panel.trajectories_tab import details, opens_on
+from pemviz.reports.causes_words import shown_chains
 from pemviz.reports.html import sections_html
 from pemviz.reports.run_document import run_document
 from pemviz.runs.answers import rules_in_order
@@ -33,10 +36,26 @@ DOCUMENTS: Mapping[str, tuple[str, ...]] = {
     "record": ("question", "provenance", "assumptions", "configuration"),
 }
 """Pages that are sections of the run's document, by name."""
+POINTS, CHAIN, START = "point", "chain", "start"
+"""What can be clicked on a page: a rollout's point, a chain of misses, a violation's start."""
+MOST_COMPARED = 6
+_ACTS = re.compile(" onclick='[^']*'")
+
+
+def _with_curves(curves: Curves | None, more: str) -> str:
+    return ("" if curves is None else curves_svg(curves)) + more
+
+
 DRAWN: Mapping[str, Callable[[RunData], str]] = {
-    "learning": learning_tab.learning,
-    "weights": lambda run: weights_tab.weights_page(run, target="weights", selected=None),
-    "why": lambda run: why_tab.why(run, targets={"chain": "chain", "start": "start"}),
+    "learning": lambda run: _with_curves(
+        learning_tab.proposal_curves(run),
+        learning_tab.learning_words(run) + learning_tab.learning(run),
+    ),
+    "weights": lambda run: (
+        weights_tab.weights_page(run, target=POINTS, selected=None)
+        + _with_curves(weights_tab.heaviest_curves(run), "")
+    ),
+    "why": lambda run: why_tab.why(run, targets={CHAIN: CHAIN, START: START}),
 }
 
 
@@ -67,6 +86,8 @@ class RunPlace:
             "step": self._step,
             "look": self._look,
             "page": self._page,
+            "pick": self._pick,
+            "compare": self._compare,
         }
 
     def _open(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
@@ -146,9 +167,52 @@ class RunPlace:
         run = self._find(asked.text("run"))
         name = asked.choice("page", (*DOCUMENTS, *DRAWN))
         if name in DRAWN:
-            return DRAWN[name](run)
+            return _still(DRAWN[name](run))
         document = run_document(run.result, running=run.running)
         return sections_html(document.choose(DOCUMENTS[name]))
+
+    def _pick(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """Which rollout a click on a page means: its place among all, by the specification."""
+        run = self._find(asked.text("run"))
+        number = asked.whole("number", 0, 100_000_000)
+        index = _index(run, asked.choice("target", (POINTS, CHAIN, START)), number)
+        if index is None:
+            return None
+        ranking = rank(run, run.config.metric, among="all", by_share=True)
+        place = int(np.flatnonzero(ranking.order == index)[0])
+        return {"rule": ALL_RULES if run.config.rules else "", "metric": run.config.metric,
+            "among": "all", "first": FIRST[0], "rank": place + 1}  # fmt: skip
+
+    def _compare(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """Some runs beside each other, as HTML."""
+        runs = [self._find(name) for name in asked.texts("runs", MOST_COMPARED)]
+        return _still(_with_curves(compare_tab.run_curves(runs), compare_tab.runs_page(runs)))
+
+
+def _still(page: str) -> str:
+    """A page without what acts by itself: our own script hears of clicks."""
+    return _ACTS.sub("", page)
+
+
+def _index(run: RunData, target: str, number: int) -> int | None:
+    """The index in the run's tables of what was clicked; ``None`` if it is not kept."""
+    if target == POINTS:
+        return number if number < run.kept else None
+    explanation, starts = run.result.explanation, run.result.starts
+    if target == CHAIN and explanation is not None and explanation.stage is not None:
+        chains = shown_chains(explanation.chains)
+        if not 1 <= number <= len(chains) or chains[number - 1].likeliest is None:
+            return None
+        key = (explanation.repetition, explanation.stage, chains[number - 1].likeliest)
+    elif target == START and starts and 1 <= number <= len(starts[0].points):
+        point = starts[0].points[number - 1]
+        key = (point.repetition, point.stage, point.rollout)
+    else:
+        return None
+    names = ("repetition", "stage", "rollout")
+    same = [run.rollouts[name] == part for name, part in zip(names, key, strict=True)]
+    found = np.flatnonzero(np.all(same, axis=0))
+    return int(found[0]) if found.size else None
 
 
 def _choice(run: RunData, asked: Arguments) -> Choice:

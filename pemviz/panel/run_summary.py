@@ -8,7 +8,7 @@ from typing import Any
 
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.reports import estimate_words as estimates
-from pemviz.reports.document import Caution, Paragraph, headline_text
+from pemviz.reports.document import Caution, Headline, Paragraph, headline_text
 from pemviz.reports.headline_words import ACT_ON, SHORT, headline_blocks, range_words
 from pemviz.reports.run_document import run_document
 from pemviz.runs.answers import answers
@@ -66,6 +66,6 @@ def _answer(result: RunResult, *, running: bool) -> Mapping[str, Any]:
         "sampling": f"{estimates.interval_text(first.estimate, caveats=first.caveats)}",
         "sampling_holds": not first.caveats,
         "warnings": doubts,
-        "headline": headline_text(headline) if hasattr(headline, "given") else "",
+        "headline": headline_text(headline) if isinstance(headline, Headline) else "",
         "beside": [block.text for block in beside if isinstance(block, Paragraph)],
     }

@@ -396,7 +396,7 @@ _ONE_PAGE_AT_A_TIME = threading.Lock()
 def scene_html(drawn: DrawnRollout) -> str:
     """The scene as an HTML page that plays without a server, and rests a moment at its end."""
     with _ONE_PAGE_AT_A_TIME:
-        server = guarded_server(host="127.0.0.1", port=0, closed=True)
+        server = guarded_server(host="127.0.0.1", port=0)
         try:
             look_from_first_view(server)
             scene = Scene(server.scene)

@@ -25,6 +25,7 @@ from websockets.http11 import Response
 from pemviz.errors import InputError, PemvizError
 from pemviz.panel.arguments import Arguments
 from pemviz.panel.page_scene import PageScene
+from pemviz.reports.html import SHEET
 
 LOG = logging.getLogger(__name__)
 
@@ -226,4 +227,5 @@ def _files() -> dict[str, tuple[str, bytes]]:
             kind = KINDS.get("." + file.name.rsplit(".", 1)[-1])
             if kind is not None and file.is_file():
                 found[address + file.name] = (kind, file.read_bytes())
+    found["/document.css"] = (KINDS[".css"], SHEET.encode())
     return found

@@ -140,7 +140,7 @@ export function Run({ name, at, state, dark, tell }) {
     <section class="look">
       <${Scene} />
       ${rollout ? html`
-        <${Timeline} rollout=${rollout} step=${step} to=${(next) => { setPlaying(false); to(next); }} />
+        <${Timeline} chart=${rollout.charts[0]} rollout=${rollout} step=${step} to=${(next) => { setPlaying(false); to(next); }} />
         <div class="bar controls">
           <button aria-label="A step back" onClick=${() => { setPlaying(false); to(step - 1); }}>\u25c2</button>
           <button class="main" onClick=${() => setPlaying(!playing)}>${playing ? "Pause" : "Play"}</button>
@@ -216,7 +216,7 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
       <th class="n">of the answer</th><th class="n">misses</th><th class="n">log weight</th><th class="n">stage</th></tr></thead>
       <tbody>${shown.map((row) => html`<tr key=${row.rank} aria-selected=${row.rank === rank} onClick=${() => pick(row.rank)}>
         <td class="n">${row.rank}</td><td class="n">${number(row.robustness)}</td>
-        <td>${ruled ? (row.broken.length ? html`<b class="no">\u2716</b> ${row.broken.join(", ")}` : "none") : row.violated ? html`<b class="no">\u2716 yes</b>` : "no"}</td>
+        <td>${ruled ? (row.broken.length ? html`<span title=${row.broken.join(", ")}><b class="no">\u2716</b> ${row.broken.length > 1 ? `${row.broken.length} of ${run.rules.length - 1}` : row.broken[0]}</span>` : "none") : row.violated ? html`<b class="no">\u2716 yes</b>` : "no"}</td>
         <td class="n">${row.share ? `${(100 * row.share).toPrecision(2)} %` : ""}</td><td class="n">${row.misses}</td>
         <td class="n">${number(row.log_weight)}</td><td class="n">${row.stage}</td></tr>`)}</tbody></table></div>
     ${rows?.count > 0 && html`<p class="quiet bar"><span>${start + 1} to ${Math.min(start + ROWS, rows.count)} of ${rows.count.toLocaleString("en")}${

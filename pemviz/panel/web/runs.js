@@ -54,7 +54,7 @@ export function Runs({ at, state, tell }) {
     setTicked(next);
   };
   const remove = async () => {
-    const names = [...ticked];
+    const names = [...ticked].filter((name) => found.rows.some((row) => row.name === name && row.kept));
     try {
       await ask("delete", { runs: names });
       setGone(names);
@@ -76,13 +76,15 @@ export function Runs({ at, state, tell }) {
     load();
   };
   if (!found) return html`<main class="page"><p class="quiet">Reading the runs ...</p></main>`;
-  const kept = rows.filter((row) => row.kept);
+  const kept = rows;
   return html`<main class="page">
     <div class="bar">
       <input type="search" ref=${search} placeholder="Search: words that a run must have ( / )" aria-label="Search the runs"
         value=${at.find ?? ""} onInput=${(event) => set({ find: event.target.value })} />
       <span class="quiet">${rows.length} of ${found.rows.length} runs in ${found.folder}</span>
       <span class="grow"></span>
+      <button disabled=${ticked.size < 2 || ticked.size > 6} title="Two to six runs beside each other"
+        onClick=${() => set({ compare: [...ticked].join(" ") })}>Compare</button>
       <button disabled=${!ticked.size} onClick=${remove}>Delete ${ticked.size || ""}</button>
       ${gone.length > 0 && html`<button onClick=${undo}>Undo: bring back ${gone.length}</button>`}
     </div>
@@ -96,7 +98,7 @@ export function Runs({ at, state, tell }) {
       <tbody>${rows.map((row) => html`<tr key=${row.name} onClick=${(event) => {
           if (!event.target.closest("input, button, a")) address.write({ place: "run", name: row.name });
         }}>
-        <td>${row.kept && html`<input type="checkbox" aria-label=${`Tick ${row.name}`} checked=${ticked.has(row.name)}
+        <td>${html`<input type="checkbox" aria-label=${`Tick ${row.name}`} checked=${ticked.has(row.name)}
           onChange=${() => tick(row.name)} />`}</td>
         <td>${row.scenario}</td><td>${row.detector}</td>
         <td class="n" title=${row.headline}>${row.rule ? html`<span class="quiet">${row.rule}</span> ` : ""}${short(row.probability)}</td>
@@ -107,6 +109,14 @@ export function Runs({ at, state, tell }) {
         <td><a href=${`#/run/${encodeURIComponent(row.name)}`}>${row.name}</a><br /><span class="quiet">${row.note}</span></td>
         <td>${row.kept && html`<button title="Write a note" onClick=${() => note(row)}>note</button>`}</td>
       </tr>`)}</tbody></table></div>
+    ${at.compare && html`<${Compare} key=${at.compare} names=${at.compare.split(" ")} close=${() => set({ compare: "" })} tell=${tell} />`}
     ${!rows.length && html`<p class="quiet">${found.rows.length ? "No run has these words." : html`No runs yet. <a href="#/new">Set one up.</a>`}</p>`}
   </main>`;
+}
+
+function Compare({ names, close, tell }) {
+  const [content, setContent] = useState("");
+  useEffect(() => void ask("compare", { runs: names }).then(setContent, (error) => { close(); tell(error.message); }), []);
+  return html`<section class="compare" aria-label="Compared runs"><p class="bar"><b>${names.length} runs beside each other</b><span class="grow"></span>
+    <button onClick=${close}>Close</button></p><div class="pemviz document" dangerouslySetInnerHTML=${{ __html: content }}></div></section>`;
 }

@@ -2,7 +2,7 @@
 import { html, useRef } from "/vendor/htm-preact.js";
 import { csv, save } from "/save.js";
 
-export function Timeline({ rollout, step, to }) {
+export function Timeline({ chart, rollout, step, to }) {
   const bar = useRef(null);
   const last = rollout.states - 1;
   const at = (place) => `${(100 * place) / Math.max(last, 1)}%`;
@@ -15,7 +15,7 @@ export function Timeline({ rollout, step, to }) {
   const events = [
     ["first miss", rollout.misses[0]], ["last miss", rollout.misses.at(-1)], ["contact", rollout.contact],
   ].filter(([, place]) => place != null);
-  return html`<div class="timeline" ref=${bar} role="slider" tabindex="0" aria-label="Step" aria-valuemin="0"
+  return html`<div class="timeline" style=${{ marginLeft: `${100 * chart.left}%`, width: `${100 * (chart.right - chart.left)}%` }} ref=${bar} role="slider" tabindex="0" aria-label="Step" aria-valuemin="0"
       aria-valuemax=${last} aria-valuenow=${step} onPointerDown=${drag} onPointerMove=${drag}>
     ${rollout.detections.map((place) => html`<i class="hit" style=${{ left: at(place) }}></i>`)}
     ${rollout.misses.map((place) => html`<i class="miss" style=${{ left: at(place) }}></i>`)}
