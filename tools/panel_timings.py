@@ -105,7 +105,7 @@ def server(recordings: Path) -> Iterator[str]:
 
 def open_panel(page: Page, address: str) -> None:
     """Go there, and wait until the controls and a run are shown."""
-    page.goto(address)
+    page.goto(f"{address}/scene/form")
     page.get_by_role("button", name="Run", exact=True).wait_for()
     page.locator("g[data-cursor]").wait_for()
 

@@ -82,10 +82,12 @@ class RunsPlace:
             for entry in folder.entries()
         ]  # fmt: skip
         shared = state.run
-        if shared is not None and all(row["name"] != shared.name for row in rows):
+        if shared is not None and (shared.running or shared.folder is None):
+            on_disk = [row for row in rows if row["name"] == shared.name]
+            rows = [row for row in rows if row["name"] != shared.name]
             line = summary(shared.result, running=shared.running)
-            rows.insert(0, {"name": shared.name, "note": "", "recording": False, "kept": False,
-                **line})  # fmt: skip
+            row = {"name": shared.name, "note": "", "recording": False, "kept": bool(on_disk)}
+            rows.insert(0, row | {**line})
         sample = sample_run()
         if sample is not None and all(row["name"] != sample.name for row in rows):
             line = summary(self.run(sample.name).result)

@@ -125,7 +125,8 @@ class Panel:
         show_something(self.controller, recordings)
         for name in recordings.names()[:1]:  # rather than the shipped sample
             self.controller.show(load_run(root / name))
-        self.address = f"http://127.0.0.1:{self.app.port}"
+        self.pages = f"http://127.0.0.1:{self.app.port}"
+        self.address = f"{self.pages}/scene/form"
 
     def close(self) -> None:
         self.gate.open()

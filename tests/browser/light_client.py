@@ -31,7 +31,7 @@ class LightClient:
     def __init__(self, port: int, *, seed: int) -> None:
         self._random = random.Random(seed)  # noqa: S311  not for secrets
         self._socket = websockets.sync.client.connect(
-            f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}",
+            f"ws://127.0.0.1:{port}/scene/form", origin=f"http://127.0.0.1:{port}",
             subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None,
             proxy=None,
         )  # fmt: skip

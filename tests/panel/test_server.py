@@ -19,6 +19,7 @@ from websockets.http11 import Request
 
 from pemviz.errors import InputError
 from pemviz.panel.server import HEADERS, allowed_hosts, guarded_server, is_loopback, refusal
+from pemviz.panel.site import POLICY, OwnPages
 
 ROOT = Path(__file__).resolve().parents[2]
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -26,7 +27,10 @@ PROTOCOL = f"viser-v{viser.__version__}"
 
 @pytest.fixture(scope="module")
 def server():
-    made = guarded_server(host="127.0.0.1", port=0)
+    pages = OwnPages(
+        {}, version=lambda: 0, state=lambda: None, download=lambda address: (address, b"")
+    )
+    made = guarded_server(host="127.0.0.1", port=0, site=pages)
     yield made
     made.stop()
 
@@ -48,16 +52,17 @@ def get(port, *, path="/", headers=None):
 def connect(port, *, origin, host=None):
     additional = None if host is None else {"Host": host}
     return websockets.sync.client.connect(
-        f"ws://127.0.0.1:{port}", origin=origin, subprotocols=[PROTOCOL],
+        f"ws://127.0.0.1:{port}/scene/x", origin=origin, subprotocols=[PROTOCOL],
         additional_headers=additional, max_size=None, compression=None, proxy=None,
     )  # fmt: skip
 
 
 def test_own_page_and_its_websocket_are_served(server):
     port = server.get_port()
-    status, body = get(port)
-    assert status == 200
-    assert b"<html" in body
+    for path in ("/", "/scene/x"):
+        status, body = get(port, path=path)
+        assert status == 200
+        assert b"<html" in body
     for name in ("127.0.0.1", "localhost"):
         status, _ = get(port, headers={"Host": f"{name}:{port}"})
         assert status == 200
@@ -66,12 +71,15 @@ def test_own_page_and_its_websocket_are_served(server):
 
 
 def test_answers_tell_browsers_to_frame_nothing_and_guess_nothing(server):
-    for path, wanted in (("/", 200), ("/nowhere", 404)):
+    own = HEADERS | {"Content-Security-Policy": POLICY}
+    for path, wanted, headers in (
+        ("/", 200, own), ("/scene/x", 200, HEADERS), ("/nowhere", 404, HEADERS),
+    ):  # fmt: skip
         connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
         connection.request("GET", path)
         answer = connection.getresponse()
         assert answer.status == wanted
-        for name, value in HEADERS.items():
+        for name, value in headers.items():
             assert answer.getheader(name) == value
         connection.close()
 
@@ -194,7 +202,7 @@ def test_servers_that_start_at_once_are_all_guarded():
     made = []
 
     def start():
-        made.append(guarded_server(host="127.0.0.1", port=0, closed=True))
+        made.append(guarded_server(host="127.0.0.1", port=0))
 
     threads = [threading.Thread(target=start) for _ in range(4)]
     for thread in threads:

@@ -154,7 +154,7 @@ export function Run({ name, at, state, dark, tell }) {
           <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
           <button onClick=${look}>${view}</button>
         </div>
-        <p class="values" data-step=${step}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
+        <p class="values" data-step=${step} data-rank=${rollout.rank}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
           ego ${rollout.speeds[step]?.toFixed(1)} m/s, ${rollout.words[step]}</p>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
       <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${last ? step / last : 0} name=${`${name}-rank${rollout.rank}`} rollout=${rollout} />`}</div>
     </section>
