@@ -26,6 +26,7 @@ export function Run({ name, at, state, dark, tell }) {
   const [width, setWidth] = useState(0);
   const charts = useRef(null);
   const asked = useRef(0);
+  const now = useRef(0);  // the step shown: a second key may come before what the first changed is drawn
   const page = at.page ?? "rollouts";
   const live = state?.run === name;
   const version = live ? `${state.kept} ${state.running}` : "";
@@ -67,24 +68,27 @@ export function Run({ name, at, state, dark, tell }) {
     if (!chosen || !width || !rows?.count) return;
     const mine = ++asked.current;
     const same = rollout?.rank === rank && rollout?.chosen === chosen;
-    const wanted = same ? step : at.step !== undefined && !rollout ? Number(at.step) : -1;
+    const wanted = same ? now.current : at.step !== undefined && !rollout ? Number(at.step) : -1;
     ask("rollout", { ...JSON.parse(chosen), rank, width, step: wanted }).then((found) => {
       if (mine !== asked.current || !found) return;
       setRollout({ ...found, chosen });
+      if (same) return;  // drawn again for another width: the step may have moved meanwhile
+      now.current = found.step;
       setStep(found.step);
-      if (!same) setPlaying(false);
+      setPlaying(false);
     }, (error) => tell(error.message));
   }, [chosen, rank, width, rows?.count]);
 
   const last = rollout ? rollout.states - 1 : 0;
   const to = useCallback((next) => {
     const kept = Math.min(Math.max(next, 0), last);
+    now.current = kept;
     setStep(kept);
     ask("step", { step: kept, follow }).catch(() => {});
   }, [last, follow]);
   useEffect(() => {
     if (!playing || !rollout) return undefined;
-    const from = step >= last ? 0 : step;
+    const from = now.current >= last ? 0 : now.current;
     const began = performance.now();
     let shown = -1;
     const timer = setInterval(() => {
@@ -100,7 +104,7 @@ export function Run({ name, at, state, dark, tell }) {
     const timer = setTimeout(() => set({ step }), 200);
     return () => clearTimeout(timer);
   }, [step, playing, rollout]);
-  useEffect(() => { if (rollout) to(step); }, [follow]);
+  useEffect(() => { if (rollout) to(now.current); }, [follow]);
 
   const view = at.view ?? "from behind";
   const look = () => {
@@ -109,23 +113,25 @@ export function Run({ name, at, state, dark, tell }) {
     ask("look", { move: true, view: next, dark });
   };
   const pick = (next) => set({ rank: Math.min(Math.max(next, 1), rows?.count ?? 1), step: "" });
+  const move = (next) => { setPlaying(false); to(next); };
+  const by = (steps) => move(now.current + steps);
   const jump = (places, forward) => {
-    const found = forward ? places.find((one) => one > step) : places.findLast((one) => one < step);
-    if (found !== undefined) { setPlaying(false); to(found); }
+    const found = forward ? places.find((one) => one > now.current) : places.findLast((one) => one < now.current);
+    if (found !== undefined) move(found);
   };
   useEffect(() => {
     const typed = (event) => {
       if (event.target.closest("input, textarea, select") || event.ctrlKey || event.metaKey || !rollout) return;
-      const by = event.shiftKey ? 10 : 1;
+      const steps = event.shiftKey ? 10 : 1;
       const act = {
-        ArrowLeft: () => { setPlaying(false); to(step - by); },
-        ArrowRight: () => { setPlaying(false); to(step + by); },
+        ArrowLeft: () => by(-steps),
+        ArrowRight: () => by(steps),
         ArrowUp: () => pick(rank - 1),
         ArrowDown: () => pick(rank + 1),
         " ": () => setPlaying(!playing),
         m: () => jump(rollout.misses, true),
         M: () => jump(rollout.misses, false),
-        c: () => rollout.contact !== null && to(rollout.contact),
+        c: () => rollout.contact !== null && move(rollout.contact),
         v: look,
       }[event.key];
       if (act) { event.preventDefault(); act(); }
@@ -140,16 +146,16 @@ export function Run({ name, at, state, dark, tell }) {
     <section class="look">
       <${Scene} />
       ${rollout ? html`
-        <${Timeline} chart=${rollout.charts[0]} rollout=${rollout} step=${step} to=${(next) => { setPlaying(false); to(next); }} />
+        <${Timeline} chart=${rollout.charts[0]} rollout=${rollout} step=${step} to=${move} />
         <div class="bar controls">
-          <button aria-label="A step back" onClick=${() => { setPlaying(false); to(step - 1); }}>\u25c2</button>
+          <button aria-label="A step back" onClick=${() => by(-1)}>\u25c2</button>
           <button class="main" onClick=${() => setPlaying(!playing)}>${playing ? "Pause" : "Play"}</button>
-          <button aria-label="A step ahead" onClick=${() => { setPlaying(false); to(step + 1); }}>\u25b8</button>
+          <button aria-label="A step ahead" onClick=${() => by(1)}>\u25b8</button>
           <select aria-label="Speed" value=${speed} onChange=${(event) => setSpeed(Number(event.target.value))}>
             ${SPEEDS.map((value) => html`<option value=${value}>${value}x</option>`)}</select>
           <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, false)}>\u25c2 miss</button>
           <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, true)}>miss \u25b8</button>
-          <button disabled=${rollout.contact === null} onClick=${() => to(rollout.contact)}>contact</button>
+          <button disabled=${rollout.contact === null} onClick=${() => move(rollout.contact)}>contact</button>
           <span class="grow"></span>
           <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
           <button onClick=${look}>${view}</button>
