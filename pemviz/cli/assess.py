@@ -273,13 +273,15 @@ class _Assessment:
         seeded = ["--seed", str(arguments.seed)]
         own = str(arguments.out / OWN)
         if folds >= 2:
-            page = str(arguments.out / "memory.md")
             folded = ["--folds", str(folds), *seeded]
-            self._command("pem", "memory", *common, *folded, "--out", page)
             self._command("pem", "fit", *common, "--memory", *folded, "--out", own)
         else:
             _note("misses over time: unknown, no obstacle is followed through two sequences")
             self._command("pem", "fit", *common, "--folds", "0", *seeded, "--out", own)
+        _note(
+            "how far refits of the model differ is left out, as no ensemble is fitted here: "
+            "pemviz pem fit --members 20, before the other, tells"
+        )
         return ["--pem", own]
 
     def _fit_memory_alone(self, table: _Collected) -> list[str]:

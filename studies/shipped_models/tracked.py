@@ -17,8 +17,8 @@ from pemviz.files.shipped import asset_path
 from pemviz.pem.data.collect import CollectOptions, collect_tracks
 from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.table import TrackTable, load_tracks
-from pemviz.pem.fitting.fit import ModelKind, Provenance
-from pemviz.pem.judging.memory_report import cross_fit, fit_report, fit_tracked_pem, memory_line
+from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
+from pemviz.pem.judging.memory_report import cross_fit, fit_report, memory_line, with_memory
 from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, save_pem
 from pemviz.pem.models.cards import KITTI_LICENCE, card_markdown
 
@@ -117,15 +117,9 @@ def run(arguments: ShipTrackedArguments) -> int:
         held_out = cross_fit(tracks, model=KIND)
         print(f"{name}: memory", file=sys.stderr)
         report = fit_report(tracks, held_out)
-        pem = fit_tracked_pem(
-            tracks,
-            model=KIND,
-            name=name,
-            provenance=provenance_of(detector, tracks),
-            cross_fitted=held_out,
-            report=report,
-            flattery=FLATTERY,
-        )
+        provenance = provenance_of(detector, tracks)
+        whole = fit_pem(tracks.obstacles, model=KIND, name=name, provenance=provenance)
+        pem = with_memory(whole, tracks, cross_fitted=held_out, report=report, flattery=FLATTERY)
         save_pem(pem, folder / f"{name}{SUFFIX}")
         text = card_markdown(pem.card, digest=pem.digest)
         (folder / f"{name}.md").write_text(text, encoding="utf-8")

@@ -63,11 +63,11 @@ def planned(monkeypatch):
 @pytest.mark.parametrize(
     ("write", "options", "expected"),
     [
-        (write_tracking, {}, ["pem collect", "pem memory", "pem fit --memory", "record", "report"]),
+        (write_tracking, {}, ["pem collect", "pem fit --memory", "record", "report"]),
         (
             write_tracking,
             {"places": True},
-            ["pem collect", "pem memory", "pem fit --memory", "pem fit --position-errors",
+            ["pem collect", "pem fit --memory", "pem fit --position-errors",
              "record --position-errors", "report"],
         ),
         (write_tracking, {"sequences": 1}, ["pem collect", "pem fit", "record", "report"]),

@@ -176,7 +176,11 @@ def test_memory_is_fitted_kept_in_the_card_and_told(tmp_path, capsys):
     table = tracks_table(tmp_path)
     out = tmp_path / "video.safetensors"
     fit.run(fit.FitArguments(table=table, out=out, model="lr", memory=True, rate_hz=10.0, folds=3))
-    assert "memory time 0." in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "memory time 0." in told
+    assert "independent misses do not explain this detector" in told
+    assert "misses right after a miss" in (tmp_path / "video-memory.md").read_text()
+    assert (tmp_path / "video-memory.png").stat().st_size > 10_000
     pem = load_pem(str(out))
     fitted = fitted_memory(pem.card.memory, where=str(out))
     assert fitted.tau_interval_s[0] < fitted.memory.tau_s < fitted.tau_interval_s[1]

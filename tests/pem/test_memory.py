@@ -2,6 +2,8 @@
 
 import itertools
 import math
+from functools import partial
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from pemviz.pem import PemError
+from pemviz.pem.fitting.fit import fit_pem
 from pemviz.pem.fitting.memory import (
     FRAILTY,
     FRAILTY_GRID,
@@ -27,6 +30,7 @@ from pemviz.pem.fitting.memory import (
 )
 from pemviz.pem.judging.independence import POWER, check_independence, expected_gain, needed_sample
 from pemviz.pem.judging.memory_report import (
+    cross_fit,
     report_memory,
     residual_correlation,
     run_lengths,
@@ -222,15 +226,48 @@ def test_drawn_outcomes_follow_the_model():
     own = np.full(len(table), logit(0.7))
     rho = float(persistence(0.1, 0.2))
     random = np.random.default_rng(4)
-    drawn = np.array(
-        [sample_outcomes(table, own, memory=Memory(tau_s=0.2), random=random) for _ in range(300)]
-    )
+    drawn = sample_outcomes(table, own, memory=Memory(tau_s=0.2), samples=300, random=random)
     rows = np.flatnonzero(table.follows)
     before, after = ~drawn[:, rows - 1], ~drawn[:, rows]
     for m, expected in ((True, 0.3 + 0.7 * rho), (False, 0.3 * (1 - rho))):
         chosen = before == m
         share = after[chosen].mean()
         assert abs(share - expected) < 5 * math.sqrt(expected * (1 - expected) / chosen.sum())
+
+
+def test_samples_drawn_together_are_those_of_outcomes_drawn_one_by_one():
+    table, own = draw_tracks(seed=7, tau_s=0.2, frailty=0.5, sequences=3, tracks_each=4, keep=0.8)
+    drawn = sample_outcomes(
+        table,
+        own,
+        memory=Memory(tau_s=0.2, frailty=0.5),
+        samples=3,
+        random=np.random.default_rng(9),
+    )
+    random, normal = np.random.default_rng(9), NormalDist()
+    for found in drawn:
+        u = random.standard_normal(int(table.track.max()) + 1)
+        for row, uniform in enumerate(random.random(len(table))):
+            p = normal.inv_cdf(1.0 / (1.0 + math.exp(own[row])))
+            p = normal.cdf(p * math.sqrt(1.25) + 0.5 * u[table.track[row]])
+            if table.follows[row]:
+                p += (float(not found[row - 1]) - p) * math.exp(-table.since_s[row] / 0.2)
+            assert found[row] == (uniform < 1.0 - p)
+
+
+def test_fits_in_processes_are_those_of_one():
+    table, _ = draw_tracks(seed=1, tau_s=0.3, frailty=0.0, sequences=6, tracks_each=8)
+    whole = partial(fit_pem, model="lr", name="own")
+    told = []
+    alone = cross_fit(table, model="lr", folds=3)
+    shared = cross_fit(
+        table, model="lr", folds=3, whole=whole, workers=2, on_progress=lambda *x: told.append(x)
+    )
+    assert np.array_equal(alone.logit, shared.logit)
+    assert alone.whole is None
+    assert shared.whole.card.name == "own"
+    assert shared.whole.digest == whole(table.obstacles).digest
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_a_report_holds_what_a_card_shows():
@@ -367,8 +404,9 @@ def test_the_expected_gain_is_the_mean_of_gains():
     """Over 40 draws, to five standard errors."""
     table, own = draw_tracks(seed=6, tau_s=0.0, frailty=0.0, sequences=6)
     random, gains = np.random.default_rng(8), []
-    for _ in range(40):
-        detected = sample_outcomes(table, own, memory=Memory(tau_s=0.1), random=random)
+    for detected in sample_outcomes(
+        table, own, memory=Memory(tau_s=0.1), samples=40, random=random
+    ):
         sampled = tracks_of(detected, sequence=table.sequence, track=table.track, frame=table.frame)
         both = log_likelihoods(sampled, own, taus_s=np.array([0.0, 0.1]), frailties=np.zeros(1))
         gains.append(np.diff(both.sum(axis=0)[:, 0])[0])

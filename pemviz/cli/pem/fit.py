@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,12 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.cli.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.memory import fitted_memory
+from pemviz.cli.pem.memory import (
+    fitted_memory,
+    judged,
+    memory_in_words,
+    write_memory_page,
+)
 from pemviz.cli.pem.position_errors import write_position_errors
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_folder
@@ -19,7 +25,6 @@ from pemviz.pem.data.position_errors import load_error_table
 from pemviz.pem.data.table import SalientTable, load_table, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.fitting.position_errors import TailChoice
-from pemviz.pem.judging.memory_report import memory_line
 from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
 
@@ -36,7 +41,7 @@ Model
                          gb-raw: boosted trees
   --memory               also how misses follow each other (needs tracks)
   --position-errors      how far off it says a car is, not misses; --tails
-  --members 20           also refits of it, beside it
+  --members 20           also refits of it, beside it; not with --memory
   --folds N, --seed N    of the cross-validation; of everything random
 Card
   --name TEXT, --data TEXT, --licence TEXT    what it is called and rests on
@@ -64,10 +69,12 @@ class FitArguments:
     """Seed of everything random (0 or more)."""
     members: int = 0
     """Also train an ensemble of so many members (0 or at least 2; 20 for a 95 % interval),
-    each on a bootstrap sample, into OUT-ensemble.safetensors."""
+    each on a bootstrap sample, into OUT-ensemble.safetensors. Not with memory: fit them first, then
+    the memory into the same OUT, beside which they stay."""
     memory: bool = False
     """Also fit the memory of misses (memory time and frailty) to tracks: the table needs the
-    columns sequence, frame and track; folds are then of sequences."""
+    columns sequence, frame and track; folds are then of sequences. Tells and writes what 'pemviz
+    pem memory' does, into OUT-memory.md and .png."""
     rate_hz: float | None = None
     """With memory or position errors: frames a second, where the table has no column rate_hz
     (above 0)."""
@@ -128,25 +135,31 @@ def run(arguments: FitArguments) -> int:
 
 
 def _fit_with_memory(arguments: FitArguments) -> int:
-    from pemviz.pem.judging.memory_report import fit_tracked_pem  # noqa: PLC0415  scikit-learn
+    from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415  scikit-learn
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    source = tracks.obstacles.source
+    provenance = Provenance(data=arguments.data or source, licence=arguments.licence)
+    name = arguments.name or arguments.out.stem
     held_out, report = fitted_memory(
-        tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
-    )
-    pem = fit_tracked_pem(
         tracks,
         model=arguments.model,
-        name=arguments.name or arguments.out.stem,
-        provenance=Provenance(
-            data=arguments.data or tracks.obstacles.source, licence=arguments.licence
-        ),
-        cross_fitted=held_out,
-        report=report,
+        folds=arguments.folds,
         seed=arguments.seed,
+        whole=partial(
+            fit_pem,
+            model=arguments.model,
+            seed=arguments.seed,
+            name=name,
+            provenance=provenance,
+        ),
     )
-    _write(pem, arguments.out)
-    print(memory_line(report))
+    assert held_out.whole is not None  # noqa: S101  asked for above
+    _write(with_memory(held_out.whole, tracks, cross_fitted=held_out, report=report), arguments.out)
+    check = judged(tracks, held_out, report)
+    page = arguments.out.with_name(f"{arguments.out.stem}-memory.md")
+    write_memory_page(report, check, page, title=source)
+    print(memory_in_words(report, check))
     return 0
 
 
@@ -180,7 +193,7 @@ def _validate(arguments: FitArguments) -> None:
     if arguments.members and arguments.model == "b-nn":
         raise PemError("members: model 'b-nn' is an ensemble of posterior draws by itself")
     if arguments.memory and arguments.members:
-        raise PemError("members: not with memory; fit an ensemble in a run of its own")
+        raise PemError("members: not with memory; fit them first, then memory into the same out")
     if arguments.position_errors and (arguments.memory or arguments.members):
         raise PemError("position_errors: not with memory or members; fit these in another run")
     if arguments.tails != "auto" and not arguments.position_errors:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pemviz.cli.bars import progress_bar
+from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import TrackTable, load_tracks
@@ -18,9 +19,10 @@ from pemviz.pem.judging.memory_report import (
     write_memory_picture,
 )
 from pemviz.pem.models.cards import memory_markdown
+from pemviz.processes import usable_cpus
 
 if TYPE_CHECKING:
-    from pemviz.pem.judging.memory_report import CrossFitted
+    from pemviz.pem.judging.memory_report import CrossFitted, Fit
 
 SMALL_P = 1e-4
 STATELESS: ModelKind = "guess-mu"
@@ -63,38 +65,68 @@ def run(arguments: MemoryArguments) -> int:
     tracks = load_tracks(
         arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
     )
-    from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415  scipy is slow
-
     held_out, report = fitted_memory(
         tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
     )
-    check = check_independence(tracks, held_out.logit, fit=report.fit)
-    table = memory_table(report)
-    page = memory_markdown(table)
+    check = judged(tracks, held_out, report)
     if arguments.out is not None:
-        with writing(arguments.out):
-            arguments.out.write_text(f"{page}\n{_verdict(check)}\n", encoding="utf-8")
-            picture = arguments.out.with_suffix(".png")
-            write_memory_picture(table, picture, title=tracks.obstacles.source)
+        write_memory_page(report, check, arguments.out, title=tracks.obstacles.source)
     if arguments.json:
-        print(json.dumps({"memory": table, "independence": asdict(check)}, allow_nan=False))
+        document = {"memory": memory_table(report), "independence": asdict(check)}
+        print(json.dumps(document, allow_nan=False))
         return 0
-    print(memory_line(report))
-    print(_verdict(check))
+    print(memory_in_words(report, check))
     return 0
 
 
 def fitted_memory(
-    tracks: TrackTable, *, model: ModelKind, folds: int, seed: int
+    tracks: TrackTable, *, model: ModelKind, folds: int, seed: int, whole: "Fit | None" = None
 ) -> "tuple[CrossFitted, MemoryReport]":
-    """Cross-fitted P(missed) of tracks and the memory of misses beside it, with progress."""
+    """Cross-fitted P(missed) of tracks and the memory of misses beside it, with progress.
+
+    ``whole`` fits the model of all tracks at the same time.
+    """
     # scikit-learn and scipy's distributions take seconds to import
     from pemviz.pem.judging.memory_report import cross_fit, fit_report  # noqa: PLC0415
 
     with progress_bar("folds of sequences") as tell:
-        held_out = cross_fit(tracks, model=model, folds=folds, seed=seed, on_progress=tell)
+        held_out = cross_fit(
+            tracks,
+            model=model,
+            folds=folds,
+            seed=seed,
+            whole=whole,
+            workers=1 if model in QUICK_MODELS else usable_cpus(),
+            on_progress=tell,
+        )
     with progress_bar("memory of misses") as tell:
         return held_out, fit_report(tracks, held_out, seed=seed, on_progress=tell)
+
+
+def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:
+    """Whether the misses could be independent."""
+    from pemviz.pem.judging.independence import check_independence  # noqa: PLC0415  scipy is slow
+
+    return check_independence(tracks, held_out.logit, fit=report.fit)
+
+
+def write_memory_page(
+    report: MemoryReport, check: IndependenceCheck, path: Path, *, title: str
+) -> None:
+    """Write a page of markdown and, with the same name, a picture (.png).
+
+    Raises:
+        PemError: They cannot be written.
+    """
+    table = memory_table(report)
+    with writing(path):
+        path.write_text(f"{memory_markdown(table)}\n{_verdict(check)}\n", encoding="utf-8")
+        write_memory_picture(table, path.with_suffix(".png"), title=title)
+
+
+def memory_in_words(report: MemoryReport, check: IndependenceCheck) -> str:
+    """What is printed of a memory: its figures, and whether the misses could be independent."""
+    return f"{memory_line(report)}\n{_verdict(check)}"
 
 
 def _verdict(check: IndependenceCheck) -> str:

@@ -6,7 +6,8 @@ that of a model which saw none of its sequence.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
+from functools import partial
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ from scipy.special import expit
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
 from pemviz.errors import PemError
-from pemviz.pem.data.table import TrackTable
-from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
+from pemviz.pem.data.table import SalientTable, TrackTable
+from pemviz.pem.fitting.fit import ModelKind, fit_pem
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
 from pemviz.pem.judging.cross_validation import score
 from pemviz.pem.models import memory as memory_law
@@ -25,6 +26,7 @@ from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
+from pemviz.processes import map_in_processes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,12 +76,10 @@ def report_memory(
     """
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
 
-    def sampled(memory: Memory) -> list[BoolArray]:
-        return [
-            sample_outcomes(tracks, logit, memory=memory, random=random) for _ in range(SIMULATED)
-        ]
+    def sampled(memory: Memory) -> BoolArray:
+        return sample_outcomes(tracks, logit, memory=memory, samples=SIMULATED, random=random)
 
-    def mean_runs(outcomes: list[BoolArray]) -> list[float]:
+    def mean_runs(outcomes: BoolArray) -> list[float]:
         return np.mean([run_lengths(tracks, each) for each in outcomes], axis=0).tolist()
 
     remembered, independent = sampled(fit.memory), sampled(Memory())
@@ -107,24 +107,36 @@ def report_memory(
 
 
 def sample_outcomes(
-    tracks: TrackTable, logit: FloatArray, *, memory: Memory, random: np.random.Generator
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    memory: Memory,
+    samples: int,
+    random: np.random.Generator,
 ) -> BoolArray:
-    """Outcomes ``[n]`` (true: detected) of the same tracks, sampled from the model of memory."""
+    """Outcomes ``[samples, n]`` (true: detected) of the same tracks, drawn from the model.
+
+    A sample is the same however many others are drawn after it.
+    """
     obstacles = int(tracks.track.max()) + 1
-    visibility = random.standard_normal(obstacles)[tracks.track]
-    own = memory_law.frail_logit(logit, visibility=visibility, frailty=memory.frailty)
+    own = np.empty((samples, len(tracks)))
+    uniforms = np.empty_like(own)
+    for sample in range(samples):
+        visibility = random.standard_normal(obstacles)[tracks.track]
+        own[sample] = memory_law.frail_logit(logit, visibility=visibility, frailty=memory.frailty)
+        uniforms[sample] = random.random(len(tracks))
     rho = memory_law.persistence(tracks.since_s, memory.tau_s)
-    uniforms = random.random(len(tracks))
-    detected = np.empty(len(tracks), dtype=np.bool_)
+    detected = np.empty(own.shape, dtype=np.bool_)
     starts = np.flatnonzero(~tracks.follows)
     place = np.arange(len(tracks)) - np.repeat(starts, np.diff(np.append(starts, len(tracks))))
     order = np.argsort(place, kind="stable")
     edges = np.searchsorted(place[order], np.arange(int(place.max()) + 2))
     for first, last in pairwise(edges.tolist()):
         rows = order[first:last]
-        before = np.zeros(rows.size, dtype=np.bool_) if first == 0 else ~detected[rows - 1]
-        chance = expit(memory_law.remembering_logit(own[rows], missed_before=before, rho=rho[rows]))
-        detected[rows] = uniforms[rows] < chance
+        fresh = own[:, rows]
+        before = np.zeros(fresh.shape, dtype=np.bool_) if first == 0 else ~detected[:, rows - 1]
+        chance = expit(memory_law.remembering_logit(fresh, missed_before=before, rho=rho[rows]))
+        detected[:, rows] = uniforms[:, rows] < chance
     return detected
 
 
@@ -251,10 +263,18 @@ def memory_line(report: MemoryReport) -> str:
 
 @dataclass(frozen=True)
 class CrossFitted:
-    """Logits ``[n]`` of models that saw none of an observation's sequence; in how many parts."""
+    """Logits ``[n]`` of models that saw none of an observation's sequence; in how many parts.
+
+    Attributes:
+        whole: The model of all sequences, where one was asked for.
+    """
 
     logit: FloatArray
     folds: int
+    whole: SingleModel | EnsemblePem | None = None
+
+
+Fit = Callable[[SalientTable], SingleModel | EnsemblePem]
 
 
 def cross_fit(
@@ -263,28 +283,62 @@ def cross_fit(
     model: ModelKind,
     folds: int = FOLDS,
     seed: int = 0,
+    whole: Fit | None = None,
+    workers: int = 1,
     on_progress: Progress | None = None,
 ) -> CrossFitted:
     """Fit a model to all but a part of the sequences, and evaluate it on that part.
 
-    ``on_progress`` is called with folds done and folds in all.
+    Args:
+        tracks: n observations.
+        model: Its kind.
+        folds: Parts of the sequences.
+        seed: Of each fit.
+        whole: Fits the model of all sequences beside them; can be pickled.
+        workers: So many fits at once, each in a process if above 1; the result is the same.
+        on_progress: Called with fits done and fits in all.
 
     Raises:
         PemError: There are fewer sequences than folds, or a part lacks an outcome.
+        RunError: A process died.
     """
     from sklearn.model_selection import GroupKFold  # noqa: PLC0415  slow to import
 
-    count = int(np.unique(tracks.sequence).size)
-    if not 2 <= folds <= count:
-        raise PemError(f"folds is {folds}, allowed: 2 to the number of sequences, {count}")
-    logit = np.empty(len(tracks))
-    parts = GroupKFold(folds).split(logit, groups=tracks.sequence)
-    for done, (train, held_out) in enumerate(parts, start=1):
-        pem = fit_pem(tracks.obstacles.take(train), model=model, seed=seed)
-        logit[held_out] = pem.logit(tracks.obstacles.salient[held_out])
+    sequences = int(np.unique(tracks.sequence).size)
+    if not 2 <= folds <= sequences:
+        raise PemError(f"folds is {folds}, allowed: 2 to the number of sequences, {sequences}")
+    parts = list(GroupKFold(folds).split(tracks.sequence, groups=tracks.sequence))
+    obstacles = tracks.obstacles
+    part = partial(fit_pem, model=model, seed=seed)
+    tasks = [_Task(part, obstacles, *rows) for rows in parts]
+    if whole is not None:  # first: it is the longest, and none should wait for it alone
+        tasks.insert(0, _Task(whole, obstacles, None, np.zeros(0, dtype=np.int64)))
+    done = count(1)
+
+    def tell(_: int) -> None:
         if on_progress is not None:
-            on_progress(done, folds)
-    return CrossFitted(logit=logit, folds=folds)
+            on_progress(next(done), len(tasks))
+
+    answers = map_in_processes(_Task.answer, tasks, workers=workers, on_done=tell)
+    logit = np.empty(len(tracks))
+    for (_, held_out), (_, of_part) in zip(parts, answers[len(tasks) - folds :], strict=True):
+        logit[held_out] = of_part
+    return CrossFitted(logit, folds, whole=None if whole is None else answers[0][0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A fit that another process can do, to some rows or all, and the rows it is asked about."""
+
+    fit: Fit
+    table: SalientTable
+    train: IntArray | None
+    asked: IntArray
+
+    def answer(self) -> tuple[SingleModel | EnsemblePem, FloatArray]:
+        """The model, and its logits of the rows that are asked about."""
+        pem = self.fit(self.table if self.train is None else self.table.take(self.train))
+        return pem, pem.logit(self.table.salient[self.asked])
 
 
 def fit_report(
@@ -302,25 +356,18 @@ def fit_report(
     return report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed)
 
 
-def fit_tracked_pem(
+def with_memory(
+    pem: SingleModel | EnsemblePem,
     tracks: TrackTable,
     *,
-    model: ModelKind,
-    name: str,
-    provenance: Provenance,
     cross_fitted: CrossFitted,
     report: MemoryReport,
     flattery: str = FLATTERY_IF,
-    seed: int = 0,
 ) -> SingleModel | EnsemblePem:
-    """A model of all tracks whose card holds their memory and scores by held-out sequences.
+    """The model of all tracks with their memory on its card, and scores by held-out sequences.
 
     ``flattery`` says in words what the training of the detector does to its figures.
-
-    Raises:
-        PemError: The table cannot be fitted.
     """
-    pem = fit_pem(tracks.obstacles, model=model, seed=seed, name=name, provenance=provenance)
     words = f"{cross_fitted.folds} folds of sequences"
     held_out = score(cross_fitted.logit, tracks.detected)
     scores = {f"bce, {words}": held_out.bce, f"brier, {words}": held_out.brier}
