@@ -11,7 +11,13 @@ from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.reports.document import Table
 from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.runs.result import RunMemory
-from pemviz.sampling.bursts.curve import MEASURED_FRAILTY, MEASURED_S, CurvePoint
+from pemviz.sampling.bursts.curve import (
+    ALIKE_S,
+    MEASURED,
+    MEASURED_FRAILTY,
+    CurvePoint,
+    measured_s,
+)
 
 MEMORY_TITLE = "Misses that follow each other"
 NOT_LOOKED_AT = (
@@ -21,10 +27,15 @@ NOT_LOOKED_AT = (
 IN_IT = "(in which the correlation of outcomes falls to 37 %)"
 """What a memory time is, in brackets beside one."""
 MEASURED_TITLE = "With a memory of misses as measured on video"
+TWO_TIMES = ", ".join(
+    f"{time:g} in place of {MEASURED[one].tau_s:g} s" for one, time in ALIKE_S.items()
+)
 FITTED_TOGETHER = (
     "Memory time and frailty were fitted together. Where all obstacles are taken as equal a memory "
-    "time is longer (0.3 in place of 0.25 s, 0.17 in place of 0.11 s): then it stands for both."
+    f"time is longer ({TWO_TIMES}): then it stands for both."
 )
+ALL_ALIKE = f"all obstacles taken as alike; {TWO_TIMES} beside a frailty"
+"""Why a time that was measured is another one here than in the answer."""
 SAME = 0.01
 """What differs by less from the error model's own measured place is that of the same detector."""
 
@@ -47,7 +58,7 @@ class CurveAxis:
     title: str
     note: str
     shown: tuple[float, ...]
-    measured: Mapping[str, float]
+    measured: Callable[[RunMemory], Mapping[str, float]]
     place: Callable[[CurvePoint], float]
     points: Callable[[RunMemory], tuple[CurvePoint, ...]]
     own: Callable[[RunMemory], float]
@@ -60,10 +71,11 @@ BY_MEMORY_TIME = CurveAxis(
     unit=" s",
     title="If misses come in bursts, by memory time",
     note="Memory time: in it the correlation of one outcome with a later one falls to 37 %. The "
-    "longer, the longer bursts of misses; how often it misses is about as before. Those measured "
-    "on video are for obstacles that are all alike; fitted beside a frailty they are shorter.",
+    "longer, the longer bursts of misses; how often it misses is about as before. Where the "
+    f"frailty is 0, those measured on video are for obstacles that are all alike: {TWO_TIMES}, as "
+    "fitted beside a frailty.",
     shown=(0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
-    measured=MEASURED_S,
+    measured=lambda memory: measured_s(memory.frailty),
     place=lambda point: point.tau_s,
     points=lambda memory: memory.curve,
     own=lambda memory: memory.tau_s,
@@ -77,7 +89,7 @@ BY_FRAILTY = CurveAxis(
     note="Frailty: how much obstacles differ in being missed beyond what the state tells, each "
     "all along; how often it misses is as before. On video it was fitted beside a memory time.",
     shown=(0.0, 0.1, 0.2, 0.3, 0.5, 1.0),
-    measured=MEASURED_FRAILTY,
+    measured=lambda _: MEASURED_FRAILTY,
     place=lambda point: point.frailty,
     points=lambda memory: memory.frailty_curve,
     own=lambda memory: memory.frailty,
@@ -131,7 +143,7 @@ def measured_names(memory: RunMemory, axis: CurveAxis) -> dict[float, str]:
     """Places of an axis that were measured on video, and whose they are."""
     own = axis.fitted(memory)
     names = {} if own is None else {own: "this error model"}
-    for name, place in axis.measured.items():
+    for name, place in axis.measured(memory).items():
         if own is None or abs(place - own) > SAME * own:
             names[place] = name
     return names
@@ -149,6 +161,7 @@ def assumption_line(memory: RunMemory | None) -> str | None:
         return None
     points = _by_place(memory, BY_MEMORY_TIME)
     here, others = points[memory.tau_s], _elsewhere(memory, BY_MEMORY_TIME)
+    names = measured_names(memory, BY_MEMORY_TIME)
     if memory.tau_s == 0.0:
         given = "the state" if memory.frailty == 0.0 else "the state and the obstacle"
         assumed = f"That misses are independent given {given} is an assumption"
@@ -158,8 +171,10 @@ def assumption_line(memory: RunMemory | None) -> str | None:
     else:
         assumed = f"A memory time of {memory.tau_s:g} s is an assumption"
         others.insert(0, f"{points[0.0].probability:.1g} if misses were independent")
+    alike = memory.frailty == 0.0 and set(measured_s(0.0)) & set(names.values())
+    note = f" ({ALL_ALIKE})" if alike else ""
     worth = _worth(memory, BY_MEMORY_TIME)
-    return f"{assumed}. The failure probability is {', '.join(others)}.{worth}"
+    return f"{assumed}. The failure probability is {', '.join(others)}{note}.{worth}"
 
 
 def frailty_line(memory: RunMemory | None) -> str | None:

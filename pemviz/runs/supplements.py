@@ -110,7 +110,7 @@ def _with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
         pem=pem,
         features=back_end.features,
         seed=config.seed,
-        also_s=(memory.tau_s, *measured, *curves.MEASURED_S.values()),
+        also_s=(memory.tau_s, *measured, *curves.measured_s(memory.frailty).values()),
         frailty=memory.frailty,
     )
     measured = () if fitted is None or fitted.frailty is None else (fitted.frailty,)
@@ -152,7 +152,8 @@ def _unmeasured_because(experiment: Experiment) -> str | None:
     if memory_of(experiment.pem).hidden:
         return "not with hidden properties of your own"
     if turns_of(experiment.problem.simulator) > 1:
-        return "not with several slots; compare runs with other --memory-s"
+        tau_s = max(curves.ALIKE_S.values())
+        return f"not beside the run with several slots; a run with --memory-s {tau_s:g} tells"
     twin = experiment.back_end.scenario_alone.twin
     if twin is None or latent_counts(twin):
         return "not without a fast twin whose start is fixed; --memory-curve may tell"

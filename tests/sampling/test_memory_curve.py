@@ -12,12 +12,17 @@ from pemviz.config import ExperimentConfig
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.recording.text import answer_text
 from pemviz.reports.charts import memory_chart
-from pemviz.reports.memory_words import BY_MEMORY_TIME, assumption_line, curve_table
+from pemviz.reports.memory_words import (
+    BY_MEMORY_TIME,
+    assumption_line,
+    curve_table,
+    measured_names,
+)
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.result import MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.sampling.bursts.curve import (
-    MEASURED_S,
+    ALIKE_S,
     SHOWN_S,
     CurvePoint,
     frailty_curve,
@@ -90,7 +95,7 @@ def test_a_run_tells_the_curve_whatever_its_own_memory(result):
     other = run_experiment(replace(SHORT, memory_s=0.15))
     assert beside(other, 0.0, 0.15) == beside(result, 0.0, 0.15)
     assert other.memory.tau_s == 0.15
-    assert {*SHOWN_S, *MEASURED_S.values()} == {point.tau_s for point in result.memory.curve}
+    assert {*SHOWN_S, *ALIKE_S.values()} == {point.tau_s for point in result.memory.curve}
     assert result_from_document(result_document(other)) == other
 
 
@@ -165,3 +170,16 @@ def test_panel_and_recording_show_the_curve_beside_the_answer(result):
     assert assumption_line(result.memory) in text
     without = answer_text(replace(result, memory=RunMemory(tau_s=0.0)), running=False)
     assert "independent of each other given the state: an assumption" in without
+
+
+def test_marks_are_the_times_that_belong_to_the_frailty_of_the_curve():
+    alike = RunMemory(tau_s=0.0, curve=(CurvePoint(0.0, 1e-9, None, None, None),))
+    assert measured_names(alike, BY_MEMORY_TIME) == {
+        0.3: "RRC, a camera detector",
+        0.17: "PointRCNN, a lidar detector",
+    }
+    assert set(measured_names(replace(alike, frailty=0.7), BY_MEMORY_TIME)) == {0.25, 0.11}
+    note = "all obstacles taken as alike; 0.3 in place of 0.25 s, 0.17 in place of 0.11 s"
+    there = replace(alike, curve=(*alike.curve, CurvePoint(0.3, 1e-3, None, None, None)))
+    assert note in assumption_line(there)
+    assert note not in assumption_line(replace(there, frailty=0.7))

@@ -51,15 +51,15 @@ from pemviz.sampling.state.composed import with_last_outcome
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.types import Diagnostic
 
-MEASURED_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
-"""Memory times of two detectors on KITTI's tracking sequences [s], by ``pemviz pem memory``, if all
-cars are taken to be equal: what frailty would explain passes for memory then. Both detectors were
-trained on these drives."""
 MEASURED = {
     "RRC, a camera detector": Memory(0.25, 0.68),
     "PointRCNN, a lidar detector": Memory(0.11, 0.83),
 }
-"""Memory time and frailty of the same, fitted together, by ``pemviz pem fit --memory``."""
+"""Memory time and frailty of two detectors on KITTI's tracking sequences, fitted together, by
+``pemviz pem fit --memory``. Both were trained on these drives."""
+ALIKE_S = {"RRC, a camera detector": 0.3, "PointRCNN, a lidar detector": 0.17}
+"""Memory times of the same [s] if all cars are taken to be equal: what frailty would explain passes
+for memory then."""
 SHOWN_S = (0.0, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)
 """Memory times at which the curve is shown [s]."""
 EXPLORED_U = 2.0
@@ -77,7 +77,7 @@ FRAIL_FITTED_S = (
 EXPLORED_S = (0.0, 0.1, 1.0)
 """Memory times whose models a family of exploration proposals is around, each [s]."""
 MEASURED_FRAILTY = {name: memory.frailty for name, memory in MEASURED.items()}
-"""Their frailties alone."""
+"""Frailties of the measured detectors alone."""
 SHOWN_FRAILTY = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2)
 """Frailties at which the curve is shown."""
 FITTED_FRAILTY = (
@@ -101,6 +101,11 @@ METHOD = "mixture"
 SEED_KEY = 2**32 - 3
 FRAILTY_SEED_KEY = 2**32 - 4
 POINTS_SEED_KEY = 2**32 - 5
+
+
+def measured_s(frailty: float) -> dict[str, float]:
+    """Memory times of the measured detectors [s], where obstacles are alike or have a frailty."""
+    return ALIKE_S if frailty == 0.0 else {name: memory.tau_s for name, memory in MEASURED.items()}
 
 
 @dataclass(frozen=True)
