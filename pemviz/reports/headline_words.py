@@ -41,7 +41,11 @@ def headline_blocks(result: RunResult, *, running: bool = False) -> Iterator[Blo
     yield Headline(words, _given(result))
     if running:
         return
-    yield Paragraph(", ".join(range_words(first.open)), tone="large")
+    range_line = ", ".join(range_words(first.open, result))
+    yield Paragraph(range_line, tone="large")
+    memory = result.memory
+    if memory is not None and memory.is_independent and memory.unmeasured not in range_line:
+        yield Paragraph(f"with a memory of misses: {NOT_KNOWN}, {memory.unmeasured}", tone="quiet")
     for line in _measured_lines(first, result.memory):
         yield Paragraph(line, tone="quiet")
 
@@ -56,9 +60,7 @@ def _subject(answer: Answer, result: RunResult) -> str:
 
 
 def _measured_lines(answer: Answer, memory: RunMemory | None) -> Iterator[str]:
-    """A line for each detector, or why there is none; of its own memory one over its intervals."""
-    if memory is not None and memory.is_independent and memory.unmeasured:
-        yield f"with a memory of misses: {NOT_KNOWN}, {memory.unmeasured}"
+    """A line for each detector; of the answer's own memory one over its intervals."""
     own = None if memory is None else memory.fitted
     if memory is None or own is None or not memory.is_own:
         yield from (f"with the memory of {measured_text(one)}" for one in answer.measured)
@@ -101,7 +103,7 @@ def _given(result: RunResult) -> str:
     return f"if error model {result.pem.name} is right{f'; with {beside}' if beside else ''}"
 
 
-def range_words(found: OpenRange) -> tuple[str, str]:
+def range_words(found: OpenRange, result: RunResult) -> tuple[str, str]:
     """The range to act on, and what decides it."""
     source = found.decided_by
     if source.kind == "sampling" and source.note:
@@ -111,8 +113,13 @@ def range_words(found: OpenRange) -> tuple[str, str]:
         if found.low:
             ends = range_text(found.low, found.high)
         return f"{ACT_ON}{ends}", f"{DECIDED_BY}{source.name}"
+    why = "" if result.memory is None else result.memory.unmeasured
+    why = f" ({why})" if why else ""
     least = "" if not found.low else f"from {end_text(found.low)}, "
-    return f"{ACT_ON}{least}{UNBOUNDED}", f"{DECIDED_BY}{source.name}, {NOT_LOOKED_AT}"
+    return (
+        f"{ACT_ON}{least}{UNBOUNDED}",
+        f"{DECIDED_BY}{source.name}, {NOT_LOOKED_AT}{why}",
+    )
 
 
 def measured_text(one: MeasuredAnswer) -> str:
@@ -135,17 +142,17 @@ def measured_number(one: MeasuredAnswer) -> str:
 def answers_table(result: RunResult) -> Table:
     """A row for each rule, collisions first, and one for any of them, each with its own range."""
     found = answers(result)
-    rows = tuple(_row(one, against_all=found[-1].caveats) for one in found)
+    rows = tuple(_row(one, result, against_all=found[-1].caveats) for one in found)
     columns = ("rule", "is broken with probability", "sampling", "to act on", "decided by")
     note = f"{IMPOSSIBLE}: {BECAUSE}" if any(one.impossible for one in found) else ""
     return Table(columns, rows, name="Each rule by itself", note=note)
 
 
-def _row(answer: Answer, *, against_all: Sequence[str]) -> tuple[str, ...]:
+def _row(answer: Answer, result: RunResult, *, against_all: Sequence[str]) -> tuple[str, ...]:
     name = "any of them" if answer.rule is None else answer.rule.name
     if answer.impossible:
         return name, IMPOSSIBLE, "", "", ""
-    act_on, _ = range_words(answer.open)
+    act_on, _ = range_words(answer.open, result)
     return (
         name,
         estimates.probability_text(answer.estimate),
