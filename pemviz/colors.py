@@ -35,9 +35,9 @@ SOURCES = {
 """Of the sources of uncertainty."""
 METRICS = {"classical": BLUE, "agm": ORANGE, "smooth-cumulative": GREEN}
 
-# on white, as in the panel, and on black, as in rerun's viewer
-PEM, PEM_ON_BLACK = BLACK, GREY
-PROPOSAL, PROPOSAL_ON_BLACK = VERMILLION, ORANGE
+# on white, as in the panel, and on either theme of rerun's viewer
+PEM, PEM_IN_RECORDING = BLACK, GREY
+PROPOSAL, PROPOSAL_IN_RECORDING = VERMILLION, ORANGE
 
 
 def car_color(car: int) -> str:

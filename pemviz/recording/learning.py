@@ -16,18 +16,17 @@ from pemviz.colors import (
     GREEN,
     GREY,
     ORANGE,
-    PEM_ON_BLACK,
-    PROPOSAL_ON_BLACK,
+    PEM_IN_RECORDING,
+    PROPOSAL_IN_RECORDING,
     PURPLE,
     SKY,
     VERMILLION,
     VIOLATED,
     Rgba,
-    rgb,
-    rgba,
 )
 from pemviz.recording import paths, plot
 from pemviz.recording.plot import Axis, Frame, Log, line, log_axes, log_legend, number_axis
+from pemviz.recording.shades import shade
 from pemviz.recording.stream import RecordingFile
 from pemviz.recording.views import shown_stages
 from pemviz.sampling.estimates.trust import interval_caveats, stage_interval
@@ -37,7 +36,7 @@ from pemviz.types import Estimate, StageResult
 HISTOGRAM_BINS = 40
 ALWAYS_REDRAWN = 100
 LEGEND_STAGES = 5
-RAMP = tuple(map(rgb, (SKY, PURPLE, VERMILLION, PROPOSAL_ON_BLACK)))
+RAMP = tuple(shade(color)[:3] for color in (SKY, PURPLE, VERMILLION, PROPOSAL_IN_RECORDING))
 DRAWN: Mapping[str, tuple[str, str | None]] = {
     "threshold": (GREEN, None),
     "failures": (VERMILLION, ""),
@@ -96,7 +95,7 @@ def _log10_or_none(value: float | None) -> float | None:
 
 def log_pem_curve(file: RecordingFile, gap_m: FloatArray, probability: FloatArray) -> None:
     """Axes, and the perception error model's curve ``[G]``; neither changes."""
-    frame, color = curve_frame(gap_m), rgba(PEM_ON_BLACK)
+    frame, color = curve_frame(gap_m), shade(PEM_IN_RECORDING)
     log_axes(file.static, paths.PROPOSALS, frame)
     file.static(paths.PEM_CURVE, line(frame, gap_m, probability, color=color, width=3.0))
     log_legend(file.static, paths.PEM_CURVE, frame, [(0, "error model", color)])
@@ -115,14 +114,14 @@ def log_curves(file: RecordingFile, curves: DetectionCurves, *, stage: int, stag
     path, drawn = paths.stage_curve(stage), partial(line, frame, curves.gap_m, curves.proposal)
     # from blue at the first stage to the proposal's colour at the last
     place = (len(RAMP) - 1) * stage / max(stages - 1, 1)
-    shades = [np.interp(place, range(len(RAMP)), part) for part in zip(*RAMP, strict=True)]
-    red, green, blue = (round(float(shade)) for shade in shades)
+    parts = [np.interp(place, range(len(RAMP)), part) for part in zip(*RAMP, strict=True)]
+    red, green, blue = (round(float(part)) for part in parts)
     color: Rgba = red, green, blue, 255
     log(path, drawn(color=color, width=1.5))
     rows = {named: row for row, named in enumerate(shown_stages(stages, LEGEND_STAGES), start=1)}
     if stage in rows:
         log_legend(log, path, frame, [(rows[stage], f"stage {stage}", color)])
-    log(paths.NEWEST_CURVE, drawn(color=rgba(PROPOSAL_ON_BLACK), width=4.0))
+    log(paths.NEWEST_CURVE, drawn(color=shade(PROPOSAL_IN_RECORDING), width=4.0))
 
 
 def log_robustness(file: RecordingFile, stage: StageResult, *, unit: str) -> None:
@@ -136,11 +135,11 @@ def log_robustness(file: RecordingFile, stage: StageResult, *, unit: str) -> Non
     log = partial(file.at_stage, stage=stage.stage)
     log_axes(log, paths.ROBUSTNESS, frame)
     heights = np.concatenate([[0.0], np.repeat(counts.astype(np.float64), 2), [0.0]])
-    outline = line(frame, np.repeat(edges, 2), heights, color=rgba(SKY), width=2.0)
+    outline = line(frame, np.repeat(edges, 2), heights, color=shade(SKY), width=2.0)
     log(paths.part(paths.ROBUSTNESS, "counts"), outline)
     if frame.x.low < 0.0 < frame.x.high:
         ends = np.array([frame.y.low, frame.y.high])
-        limit_line = line(frame, np.zeros(2), ends, color=rgba(VIOLATED), width=1.5)
+        limit_line = line(frame, np.zeros(2), ends, color=shade(VIOLATED), width=1.5)
         log(paths.part(paths.ROBUSTNESS, "limit"), limit_line)
 
 
@@ -191,8 +190,8 @@ def log_figures(
         frame = Frame(x=stage_axis(stages), y=height, shape=plot.WITHOUT_LEGEND)
         path = paths.by_stage(name)
         log_axes(log, path, frame)
-        through = line(frame, x, y, color=rgba(color), width=1.5)
-        dots = plot.dots(frame, x, y, colors=[rgba(color)] * x.size)
+        through = line(frame, x, y, color=shade(color), width=1.5)
+        dots = plot.dots(frame, x, y, colors=[shade(color)] * x.size)
         log(paths.part(path, "values"), through, dots)
 
 
@@ -242,7 +241,7 @@ def log_estimates(
     frame = Frame(x=stage_axis(places), y=height)
     log_axes(log, path, frame)
     x, y = np.array(list(estimates), np.float64), np.array([e.log10 for e in estimates.values()])
-    shown: list[Any] = [plot.dots(frame, x, y, colors=[rgba(ORANGE)] * x.size)]
+    shown: list[Any] = [plot.dots(frame, x, y, colors=[shade(ORANGE)] * x.size)]
     barred = [
         (float(place), one.low, one.high, one.holds)
         for place, one in estimates.items()
@@ -250,15 +249,15 @@ def log_estimates(
     ]
     if len(barred) <= MOST_WHISKERS:
         at, lows, highs = (np.array([bar[part] for bar in barred], np.float64) for part in range(3))
-        colors = [rgba(SKY if holds else GREY) for *_, holds in barred]
+        colors = [shade(SKY if holds else GREY) for *_, holds in barred]
         shown.append(plot.whiskers(frame, at, lows, highs, colors=colors))
     log(paths.part(path, "values"), *shown)
     held = {holds for *_, holds in barred}
     words = [
-        (0, "estimate", rgba(ORANGE)),
-        *([(1, "95 % interval", rgba(SKY))] if True in held else []),
-        *([(2, "not a 95 % one", rgba(GREY))] if False in held else []),
-        *([] if answer is None else [(3, f"answer {10.0**answer.log10:.2g}", rgba(GREEN))]),
+        (0, "estimate", shade(ORANGE)),
+        *([(1, "95 % interval", shade(SKY))] if True in held else []),
+        *([(2, "not a 95 % one", shade(GREY))] if False in held else []),
+        *([] if answer is None else [(3, f"answer {10.0**answer.log10:.2g}", shade(GREEN))]),
     ]
     log_legend(log, path, frame, words)
     if answer is not None:
@@ -268,5 +267,5 @@ def log_estimates(
         for end in (answer.low, answer.high):
             if end is not None:
                 strips += [frame.places(np.array(pair), np.full(2, end)) for pair in dashes]
-        across = rr.LineStrips2D(strips, colors=rgba(GREEN), radii=plot.ui(0.7), draw_order=10.0)
+        across = rr.LineStrips2D(strips, colors=shade(GREEN), radii=plot.ui(0.7), draw_order=10.0)
         log(paths.part(path, "answer"), across)

@@ -9,12 +9,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import BLUE, GREEN, VERMILLION, rgba
+from pemviz.colors import BLUE, GREEN, VERMILLION
 from pemviz.recording import paths
+from pemviz.recording.shades import shade
 from pemviz.recording.stream import RecordingFile, StepTimes, blueprint_of
 
 TEXT, PICTURE, SERIES = "text", "picture", "series"
-SERIES_COLORS = (rgba(BLUE), rgba(VERMILLION), rgba(GREEN))
+SERIES_COLORS = tuple(map(shade, (BLUE, VERMILLION, GREEN)))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ STEP = "step"
 SIM_TIME = "sim_time"
 
 ANSWER = "/answer/summary"
+STRIP = "/answer/in_short"
 WARNINGS = "/answer/warnings"
 UNCERTAINTY = "/answer/uncertainty"
 REPETITIONS = "/answer/repetitions"
@@ -93,9 +94,9 @@ def road_car(rank: int, car: int) -> str:
     return lane(rank, f"car_{car}")
 
 
-def plan(rank: int, part: str) -> str:
-    """A part of the ``rank``-th least robust rollout from above."""
-    return f"/worst_case/from_above/rank_{rank}/{part}"
+def plan(part: str) -> str:
+    """A part of the least robust rollout from above."""
+    return f"{PLAN}/{part}"
 
 
 def outcomes(rank: int) -> str:

@@ -14,8 +14,9 @@ import rerun as rr
 
 from pemviz.arrays import FloatArray
 from pemviz.charts.chart import IntervalChart, axis_decades, decade, nice_ticks
-from pemviz.colors import DARK_GREY, GREY, WHITE, Rgba, rgba
+from pemviz.colors import Rgba
 from pemviz.recording import paths
+from pemviz.recording.shades import WORDS, shade
 
 ABOVE = 0.1
 LEGEND_ROW = 0.155
@@ -26,6 +27,8 @@ FEW_TICKS = 4
 WORDS_AT, BAR_AT = 0.05, 0.72
 """Of the height of a row of intervals, from its top."""
 NO_DOT: Any = rr.Radius.ui_points(0.1)
+GRID = 0.35
+"""Half of a grid line's width, in points of the screen."""
 
 
 class Log(Protocol):
@@ -77,6 +80,13 @@ LARGE = Shape(width=1.2, left=0.14, right=0.32, words_up=0.035)
 WITHOUT_LEGEND = Shape(width=2.3, left=0.28, right=0.1, below=0.32)
 ROWS = Shape(width=1.9, left=0.1, right=0.1)
 """Rows that carry their own words."""
+LETTER, AROUND = 0.055, 0.2
+"""How wide a letter of a row's name is, and what is around it, in heights of the plot."""
+
+
+def named_rows(names: Sequence[str]) -> Shape:
+    """Of rows with these names beside them."""
+    return Shape(left=LETTER * max(map(len, names)) + AROUND)
 
 
 @dataclass(frozen=True)
@@ -128,13 +138,13 @@ def log_axes(log: Log, path: str, frame: Frame) -> None:
     """Grid lines, and words at the ticks."""
     across = [frame.across(value) for value, _ in frame.y.ticks]
     up = [frame.upright(value) for value, _ in frame.x.ticks]
-    colors = [rgba(DARK_GREY)] * (len(across) + len(up)) + [rgba(GREY)]
     lines = [*across, *up, frame.across(frame.y.low)]
-    grid = rr.LineStrips2D(lines, colors=colors, radii=ui(0.5), draw_order=1.0)
+    widths = [ui(GRID)] * (len(lines) - 1) + [ui(2 * GRID)]
+    grid = rr.LineStrips2D(lines, colors=WORDS, radii=widths, draw_order=1.0)
     below = [(place[0][0], 1.0 + TICK_Y) for place in up]
     beside = [(-0.45 * frame.shape.left, place[0][1] - frame.shape.words_up) for place in across]
     words = [words for _, words in (*frame.x.ticks, *frame.y.ticks)]
-    ticks = written([*below, *beside], words, colors=[rgba(WHITE)] * len(words))
+    ticks = written([*below, *beside], words, colors=[WORDS] * len(words))
     log(paths.part(path, "axes"), grid, ticks)
 
 
@@ -202,14 +212,14 @@ def log_intervals(log: Log, path: str, chart: IntervalChart) -> None:
                      np.full(2, place + BAR_AT))
         for place, row in known
     ]  # fmt: skip
-    colors = [rgba(row.color) for _, row in known]
+    colors = [shade(row.color) for _, row in known]
     bars = rr.LineStrips2D(strips, colors=colors, radii=ui(3.0), draw_order=20.0)
     middle, count = 0.5 * frame.shape.width, len(chart.rows)
     places = [(middle, (place + WORDS_AT) / count) for place in range(count)]
     words = [f"{row.name}: {row.figures}" for row in chart.rows]
-    log(paths.part(path, "sources"), bars, written(places, words, colors=[rgba(WHITE)] * count))
+    log(paths.part(path, "sources"), bars, written(places, words, colors=[WORDS] * count))
     if chart.rules:
         lines = [frame.upright(decade(rule.at)) for rule in chart.rules]
-        shades = [rgba(rule.color) for rule in chart.rules]
-        across = rr.LineStrips2D(lines, colors=shades, radii=ui(0.7), draw_order=10.0)
+        colors = [shade(rule.color) for rule in chart.rules]
+        across = rr.LineStrips2D(lines, colors=colors, radii=ui(0.7), draw_order=10.0)
         log(paths.part(path, "answer"), across)

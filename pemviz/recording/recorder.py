@@ -13,12 +13,12 @@ from pemviz.recording import learning, paths, text, worst
 from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.plot import log_intervals
 from pemviz.recording.rollouts import ROLLOUT_LIMIT, choose, log_rollouts, quota, unvaried
-from pemviz.recording.scene import MOST_ROADS, log_scene
+from pemviz.recording.scene import MOST_ROADS, log_scene, on_roads
 from pemviz.recording.scene_plan import log_scene_plan
 from pemviz.recording.stream import RecordingFile, compact
 from pemviz.recording.views import Subject, all_views, blueprint, views_with_data, without_signals
 from pemviz.reports.charts import uncertainty_chart
-from pemviz.runs.drawn_rollout import slots_of
+from pemviz.runs.drawn_rollout import WHOLE, slots_of
 from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.runs.result import RunResult
 from pemviz.runs.specification import named_signals
@@ -128,6 +128,7 @@ class _Writing:
                 road=None if scene is None else scene.road,
                 signal=named_signals(config, started.signals)[0],
                 noise=worst.noise_title(simulator),
+                rows=self._row_names(),
             )
         )
         if frames:
@@ -142,12 +143,20 @@ class _Writing:
         )
         file.markdown(paths.CONTENTS, contents)
         self._write_texts(started.result, running=True)
+        # first of all, so that a viewer that still reads shows no layout of its own
+        file.blueprint(blueprint(views_with_data(self.views, file.logged)))
         self._gap_m = None
         if GAP in {signal.name for signal in started.signals} and not self._slots:
             self._gap_m = gap_grid(simulator, step_m=CURVE_STEP_M)
             curve = pem_curve(simulator=simulator, pem=started.pem, gap_m=self._gap_m)
             learning.log_pem_curve(file, self._gap_m, curve)
         file.flush()
+
+    def _row_names(self) -> tuple[str, ...]:
+        several = len(self._slots) > 1
+        return tuple(
+            worst.row_name(1, slot.name if several else "") for slot in self._slots or [WHOLE]
+        )
 
     def add_stage(self, event: StageDone) -> None:
         """All of a stage of the first repetition; of others, who is among the least robust."""
@@ -237,6 +246,7 @@ class _Writing:
 
     def _write_texts(self, result: RunResult, *, running: bool) -> None:
         file = self._file
+        file.markdown(paths.STRIP, text.strip_text(result, running=running))
         file.markdown(paths.ANSWER, text.answer_text(result, running=running))
         chart = None if running else uncertainty_chart(result)
         if chart is not None:
@@ -264,8 +274,9 @@ class _Writing:
         drawn = [track.drawn for track in self._tracks if track.drawn is not None]
         titles = [f"robustness {track.ranked.robustness:.3g}" for track in self._tracks]
         if drawn:
-            log_scene(self._file, drawn, titles=titles, stage=stage)
-            log_scene_plan(self._file, drawn, titles=titles, stage=stage)
+            shown = on_roads(self._file, drawn, titles, stage=stage)
+            log_scene(self._file, shown)
+            log_scene_plan(shown[0])
 
 
 def _import(config: ExperimentConfig) -> None:

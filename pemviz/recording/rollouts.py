@@ -6,8 +6,9 @@ import numpy as np
 import rerun as rr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
-from pemviz.colors import HOLDS, PEM_ON_BLACK, VIOLATED, Rgba, rgba
+from pemviz.colors import HOLDS, PEM_IN_RECORDING, VIOLATED, Rgba
 from pemviz.recording import paths
+from pemviz.recording.shades import shade
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import faultless, faultless_probability
 from pemviz.simulators.slots import Slot
@@ -92,7 +93,7 @@ def log_rollouts(
     number = numbers_of(rollouts.count, stage.sampled)
     named = zip(number[kept].tolist(), scored.robustness[kept].tolist(), strict=True)
     names = [f"rollout {rollout}, robustness {level:.3g}" for rollout, level in named]
-    shades = series_colors(scored.violated[kept])
+    colors = series_colors(scored.violated[kept])
     # the least robust, which are drawn last, are thick
     thin = max(kept.size - EMPHASISED, 0)
     widths = [THIN] * thin + [THICK] * (kept.size - thin)
@@ -104,11 +105,11 @@ def log_rollouts(
         file.series(path, values, times=times)
 
     for signal in signals:
-        log(signal.key, rollouts.signals[signal.name][kept], shades)
-    grey = [rgba(PEM_ON_BLACK, opacity=PEM_ALPHA)] * kept.size
+        log(signal.key, rollouts.signals[signal.name][kept], colors)
+    grey = [shade(PEM_IN_RECORDING, opacity=PEM_ALPHA)] * kept.size
     log(paths.PEM_SERIES, faultless_probability(rollouts.pem_logit[kept], slots=slots), grey)
     proposal = faultless_probability(rollouts.proposal_logit[kept], slots=slots)
-    log(paths.PROPOSAL_SERIES, proposal, shades)
+    log(paths.PROPOSAL_SERIES, proposal, colors)
     detected = faultless(rollouts.detected, slots=slots)
     # the least robust rollout in the first row
     raster = np.ascontiguousarray(detected[kept][::-1].astype(np.uint8))
@@ -132,8 +133,8 @@ def log_rollouts(
 def series_colors(violated: BoolArray) -> list[Rgba]:
     """Violated or not, the last ``EMPHASISED`` opaque."""
     faint = 110 if violated.size <= CROWDED else 60
-    plain = (rgba(HOLDS, opacity=faint), rgba(VIOLATED, opacity=faint + 40))
-    strong = (rgba(HOLDS), rgba(VIOLATED))
+    plain = (shade(HOLDS, opacity=faint), shade(VIOLATED, opacity=faint + 40))
+    strong = (shade(HOLDS), shade(VIOLATED))
     first_strong = violated.size - EMPHASISED
     return [
         (strong if place >= first_strong else plain)[int(flag)]
@@ -152,8 +153,8 @@ def _log_missed_share(
     sample = slice(None) if stage.sampled is None else stage.sampled.even
     violated, missed = stage.scored.violated[sample], ~detected[sample]
     groups = [
-        ("specification holds", ~violated, rgba(HOLDS)),
-        ("violated", violated, rgba(VIOLATED)),
+        ("specification holds", ~violated, shade(HOLDS)),
+        ("violated", violated, shade(VIOLATED)),
     ]
     present = [group for group in groups if group[1].any()]
     file.style(

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from pemviz.arrays import AnyArray
-from pemviz.colors import DETECTED, GREEN, GREY, MISSED, WHITE, Rgba, car_color, rgba
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.colors import DETECTED, GREEN, GREY, MISSED, Rgba, car_color
 from pemviz.recording import paths
+from pemviz.recording.shades import ROAD, WORDS, shade
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import Road, SceneCar, SceneTracks, SceneZone
@@ -26,16 +27,25 @@ VERGE_M = 5.0
 """Between two roads; a rollout's words stand there."""
 BEHIND_M, AHEAD_M = 15.0, 60.0
 DASH_M, DASH_SPACING_M = 3.0, 9.0
-ANSWERS: dict[int, Rgba] = {NOT_EVALUATED: rgba(GREY), RIGHT: rgba(DETECTED), WRONG: rgba(MISSED)}
+ANSWERS: dict[int, Rgba] = {
+    NOT_EVALUATED: shade(GREY),
+    RIGHT: shade(DETECTED),
+    WRONG: shade(MISSED),
+}
 SIGMAS = 2.0
 """How many standard deviations an ellipse of a track reaches."""
-PAINT: Rgba = (190, 190, 190, 255)
-ROAD: Rgba = (55, 55, 60, 255)
 RADII_M = {NOT_EVALUATED: 0.15, RIGHT: 0.3, WRONG: 0.6}
 """Of the mark over a car: a miss differs in more than its colour."""
+MARK_M, NEXT_MARK_M = 1.8, 1.5
+"""How high a mark is over the first car's roof, and how much higher over the next one's."""
 CABIN_SHARE, BODY_SHARE = 0.55, 0.58
 """Of a car's length, and of its height."""
 UNKNOWN_SD_M = 0.02
+
+
+def in_picture(ahead_m: FloatArray) -> BoolArray:
+    """Whether something so far ahead of the ego's centre is on the road that is drawn."""
+    return (ahead_m >= -BEHIND_M) & (ahead_m <= AHEAD_M)
 
 
 def row_m(road: Road) -> float:
@@ -94,20 +104,18 @@ def on_roads(
     ]
 
 
-def log_scene(
-    file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
-) -> None:
-    """A road for each of the first rollouts; later calls replace what earlier ones drew."""
+def log_scene(file: RecordingFile, shown: Sequence[OnRoad]) -> None:
+    """A road for each rollout; later calls replace what earlier ones drew."""
     file.static(paths.SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    for one in on_roads(file, drawn, titles, stage=stage):
+    for one in shown:
         _log_road(one)
         for car in range(len(one.drawn.cars)):
             _log_car(one, car)
         if one.drawn.tracks is not None:
             _log_tracks(one, one.drawn.tracks)
-        at_m = [-BEHIND_M + 8.0, one.drawn.road.lane_edges_m[-1] + one.shift_m + 2.0, 0.0]
+        at_m = [-BEHIND_M + 10.0, one.drawn.road.lane_edges_m[-1] + one.shift_m + 2.0, 0.0]
         words = rr.Points3D.from_fields(
-            positions=[at_m], radii=[0.02], colors=[rgba(WHITE)], show_labels=True
+            positions=[at_m], radii=[0.02], colors=[WORDS], show_labels=True
         )
         columns = rr.Points3D.columns(labels=one.titles)
         one.log(paths.lane(one.rank, "words"), words, columns)
@@ -124,38 +132,42 @@ def _log_road(one: OnRoad) -> None:
     )
     one.file.static(paths.lane(one.rank, "road"), road)
     solid = [[[-BEHIND_M, y, 0.02], [AHEAD_M, y, 0.02]] for y in (right_m, left_m)]
-    edges = rr.LineStrips3D(solid, colors=PAINT, radii=0.06)
+    edges = rr.LineStrips3D(solid, colors=WORDS, radii=0.06)
     one.file.static(paths.lane(one.rank, "edges"), edges)
     starts_m = np.arange(DASH_SPACING_M - BEHIND_M, AHEAD_M - DASH_M, DASH_SPACING_M)
     dashes = [[[x, y, 0.02], [x + DASH_M, y, 0.02]] for y in edges_m[1:-1] for x in starts_m]
     if dashes:
         moved = np.zeros((one.drawn.count, 3))
         moved[:, 0] = -(one.drawn.states.x_m[:, 0] % DASH_SPACING_M)
-        paint = rr.LineStrips3D(dashes, colors=PAINT, radii=0.06)
+        paint = rr.LineStrips3D(dashes, colors=WORDS, radii=0.06)
         one.log(paths.lane(one.rank, "paint"), paint, rr.Transform3D.columns(translation=moved))
 
 
 def _log_car(one: OnRoad, car: int) -> None:
     path, drawn = paths.road_car(one.rank, car), one.drawn
     shape, states = drawn.cars[car], drawn.states
-    there = states.present[:, car]
+    ahead_m = states.x_m[:, car] - states.x_m[:, 0]
+    there = states.present[:, car] & in_picture(ahead_m)
     half = np.where(there, states.heading_rad[:, car], 0.0) / 2
     zeros = np.zeros_like(half)
     turned = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
-    ahead_m = states.x_m[:, car] - states.x_m[:, 0]
     centre_m = np.stack([ahead_m, states.y_m[:, car] + one.shift_m, zeros], axis=1)
     centre_m = np.where(there[:, None], centre_m, [0.0, 0.0, -100.0])  # out of sight
     moved = rr.Transform3D.columns(translation=centre_m, quaternion=turned)
     one.file.along(path, moved, times=one.times)
-    shades = np.tile(np.array(rgba(car_color(car)), dtype=np.uint8), (drawn.count, 1))
-    shades[one.grey_from :] = rgba(GREY)
+    shades = np.tile(np.array(shade(car_color(car)), dtype=np.uint8), (drawn.count, 1))
+    shades[one.grey_from :] = shade(GREY)
     columns = rr.Boxes3D.columns(colors=np.repeat(shades, 2, axis=0))
     one.log(f"{path}/body", _body(shape), columns.partition([2] * drawn.count))
     if shape.zone is not None:
         _log_zone(one, f"{path}/zone", shape, shape.zone)
     slot = drawn.slot_of_car[car]
     if slot is not None:
-        _log_mark(one, f"{path}/outcome", car, slot)
+        _log_mark(one, path, car, slot)
+    elif one.rank == 1:
+        above = [[0.0, 0.0, shape.height_m + MARK_M]]
+        name = rr.Points3D(above, labels=[shape.name], colors=WORDS, radii=0.02, show_labels=True)
+        one.file.static(f"{path}/name", name)
 
 
 def _log_zone(one: OnRoad, path: str, car: SceneCar, zone: SceneZone) -> None:
@@ -163,10 +175,10 @@ def _log_zone(one: OnRoad, path: str, car: SceneCar, zone: SceneZone) -> None:
     near_m, far_m, aside_m = car.length_m / 2, car.length_m / 2 + zone.ahead_m, 0.8 * car.width_m
     outline = [(near_m, -aside_m), (far_m, -aside_m), (far_m, aside_m), (near_m, aside_m)]
     strip = [(x, y, 0.04) for x, y in [*outline, outline[0]]]
-    one.file.static(path, rr.LineStrips3D([strip], colors=rgba(GREEN), radii=0.06))
+    one.file.static(path, rr.LineStrips3D([strip], colors=shade(GREEN), radii=0.06))
     if one.rank == 1:
         label = rr.Points3D(
-            [(far_m, -aside_m - 0.6, 0.0)], labels=[zone.words], colors=rgba(GREEN), radii=0.02,
+            [(far_m, -aside_m - 0.6, 0.0)], labels=[zone.words], colors=shade(GREEN), radii=0.02,
             show_labels=True,
         )  # fmt: skip
         one.file.static(f"{path}/words", label)
@@ -188,24 +200,34 @@ def _body(car: SceneCar) -> rr.Boxes3D:
 
 
 def _log_mark(one: OnRoad, path: str, car: int, slot: int) -> None:
-    """Over the car what perception said of it; of the least robust rollout in words too."""
+    """Over the car what perception said of it; of the least robust rollout in words too.
+
+    There a pole leads to it from the car, and every car's is higher than that of the one before,
+    so that words of cars behind each other are apart.
+    """
     shape, answers = one.drawn.cars[car], one.drawn.answer_about(car).tolist()
     known = min(one.grey_from, one.drawn.count - 1)
     names = [
         f"{shape.name}: {answer_words(one.drawn.slots[slot], answer)}" for answer in answers[:known]
     ]
     names += [shape.name] * (one.drawn.count - known)
-    above = [[0.0, 0.0, shape.height_m + 1.8]]
-    mark = rr.Points3D.from_fields(positions=above, show_labels=one.rank == 1)
+    top_m = shape.height_m + MARK_M
+    if one.rank == 1:
+        top_m += NEXT_MARK_M * (car - 1)
+        pole = [(0.0, 0.0, shape.height_m), (0.0, 0.0, top_m)]
+        line = rr.LineStrips3D([pole], colors=shade(car_color(car)), radii=0.04)
+        one.file.static(f"{path}/pole", line)
+    mark = rr.Points3D.from_fields(positions=[(0.0, 0.0, top_m)], show_labels=one.rank == 1)
     shades = np.array([ANSWERS[answer] for answer in answers], dtype=np.uint8)
     radii = [RADII_M[answer] for answer in answers]
-    one.log(path, mark, rr.Points3D.columns(colors=shades, radii=radii, labels=names))
+    one.log(f"{path}/outcome", mark, rr.Points3D.columns(colors=shades, radii=radii, labels=names))
 
 
 def _log_tracks(one: OnRoad, tracks: SceneTracks) -> None:
     """Where the controller believes cars to be: a flat ellipse of two standard deviations."""
     drawn = one.drawn
     shown = tracks.confirmed & (np.arange(drawn.count) < one.grey_from)[:, None]
+    shown &= in_picture(tracks.x_m - drawn.states.x_m[:, :1])
     step, slot = np.nonzero(shown)
     lengths = shown.sum(axis=1)
     ahead_m = tracks.x_m[step, slot] - drawn.states.x_m[step, 0]
@@ -219,13 +241,13 @@ def _log_tracks(one: OnRoad, tracks: SceneTracks) -> None:
     cars = [drawn.car_of_slot(place) for place in slot.tolist()]
     car_sizes = np.array([(c.length_m, c.width_m, c.height_m) for c in cars]).reshape(-1, 3)
 
-    def white(opacity: int) -> AnyArray:
-        return np.tile(np.array(rgba(WHITE, opacity=opacity), dtype=np.uint8), (step.size, 1))
+    def grey(opacity: int) -> AnyArray:
+        return np.tile(np.array((*WORDS[:3], opacity), dtype=np.uint8), (step.size, 1))
 
     path = paths.lane(one.rank, "tracks")
-    columns = rr.Ellipsoids3D.columns(centers=centers, half_sizes=sizes, colors=white(150))
+    columns = rr.Ellipsoids3D.columns(centers=centers, half_sizes=sizes, colors=grey(150))
     one.log(path, rr.Ellipsoids3D.from_fields(fill_mode="solid"), columns.partition(lengths))
     above = centers + np.array([0.0, 0.0, 0.65])
-    boxes = rr.Boxes3D.columns(centers=above, half_sizes=car_sizes / 2, colors=white(255))
+    boxes = rr.Boxes3D.columns(centers=above, half_sizes=car_sizes / 2, colors=grey(255))
     wires = rr.Boxes3D.from_fields(fill_mode="majorwireframe")
     one.log(f"{path}/cars", wires, boxes.partition(lengths))

@@ -1,9 +1,11 @@
-"""The least robust rollouts of any scenario that tells where its cars are, from above.
+"""The least robust rollout of any scenario that tells where its cars are, from above.
 
-In metres, x ahead of the ego's centre to the right, and a road below the other for each rollout.
+In metres, x ahead of the ego's centre to the right. Words stand beside the road, at their cars:
+over its asphalt, which is dark on either theme, none could be read on both.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -12,9 +14,9 @@ from pemviz.arrays import FloatArray
 from pemviz.colors import BLACK, GREEN, GREY, WHITE, Rgba, car_color, rgba
 from pemviz.recording import paths, scene
 from pemviz.recording.plot import NO_DOT
-from pemviz.recording.scene import AHEAD_M, ANSWERS, BEHIND_M, DASH_M, VERGE_M, OnRoad, row_m
-from pemviz.recording.stream import RecordingFile
-from pemviz.runs.drawn_rollout import NOT_EVALUATED, WRONG, DrawnRollout, answer_words
+from pemviz.recording.scene import AHEAD_M, ANSWERS, BEHIND_M, DASH_M, OnRoad
+from pemviz.recording.shades import WORDS
+from pemviz.runs.drawn_rollout import NOT_EVALUATED, WRONG, answer_words
 from pemviz.simulators.scene import Road
 
 Bounds = tuple[tuple[float, float], tuple[float, float]]
@@ -24,7 +26,10 @@ Strip = tuple[FloatArray, Rgba, float]
 CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
 ANGLES = np.linspace(0.0, 2 * np.pi, 33)
 CROSS = ([0, 2], [1, 3])
-FIRST_WORDS_M, WORDS_SPACING_M = 38.0, 24.0
+VERGE_M = 4.0
+"""Above and below the road; words stand there."""
+LETTER_M, AROUND_M = 0.75, 3.0
+"""About how wide a letter is in the view as it opens, and what is left free around words."""
 LAPS = 8
 """Lines side by side that fill a rectangle."""
 HALO_M = 0.7
@@ -35,35 +40,32 @@ ASPHALT: Rgba = (40, 40, 44, 255)
 
 def plan_bounds(road: Road) -> Bounds:
     """What a view shows, from left to right and from top to bottom."""
-    return (-BEHIND_M - 4.0, AHEAD_M + 4.0), (-1.0, scene.roads_shown(road) * row_m(road) + 1.0)
+    width_m = road.lane_edges_m[-1] - road.lane_edges_m[0]
+    return (-BEHIND_M - 1.0, AHEAD_M + 1.0), (-0.5, width_m + 2 * VERGE_M)
 
 
-def log_scene_plan(
-    file: RecordingFile, drawn: Sequence[DrawnRollout], *, titles: Sequence[str], stage: int
-) -> None:
-    """A road for each of the first rollouts; later calls replace what earlier ones drew."""
-    for one in scene.on_roads(file, drawn, titles, stage=stage):
-        _log_asphalt(one)
-        parts = [(_lane_lines, "lines", 2.0), (_cars, "cars", 10.0), (_outcomes, "outcomes", 15.0)]
-        if one.drawn.tracks is not None:
-            parts.append((_tracks, "tracks", 20.0))
-        for draw, name, order in parts:
-            steps = [list(draw(one, step)) for step in range(one.drawn.count)]
-            every = [strip for strips in steps for strip in strips]
-            columns = rr.LineStrips2D.columns(
-                strips=[line for line, _, _ in every],
-                colors=[color for _, color, _ in every],
-                radii=[radius for _, _, radius in every],
-            ).partition([len(strips) for strips in steps])
-            fixed = rr.LineStrips2D.from_fields(draw_order=order)
-            one.log(paths.plan(one.rank, name), fixed, columns)
-        _log_words(one)
+def log_scene_plan(one: OnRoad) -> None:
+    """A rollout on its road; a later call replaces what an earlier one drew."""
+    _log_asphalt(one)
+    parts = [(_lane_lines, "lines", 2.0), (_cars, "cars", 10.0), (_outcomes, "outcomes", 15.0)]
+    if one.drawn.tracks is not None:
+        parts.append((_tracks, "tracks", 20.0))
+    for draw, name, order in parts:
+        steps = [list(draw(one, step)) for step in range(one.drawn.count)]
+        every = [strip for strips in steps for strip in strips]
+        columns = rr.LineStrips2D.columns(
+            strips=[line for line, _, _ in every],
+            colors=[color for _, color, _ in every],
+            radii=[radius for _, _, radius in every],
+        ).partition([len(strips) for strips in steps])
+        fixed = rr.LineStrips2D.from_fields(draw_order=order)
+        one.log(paths.plan(name), fixed, columns)
+    _log_words(one)
 
 
 def _down(one: OnRoad, y_m: FloatArray) -> FloatArray:
     """Left of the road is up."""
-    road = one.drawn.road
-    return (one.rank - 1) * row_m(road) + VERGE_M + road.lane_edges_m[-1] - y_m
+    return VERGE_M + one.drawn.road.lane_edges_m[-1] - y_m
 
 
 def _flat(one: OnRoad, points: FloatArray) -> FloatArray:
@@ -77,7 +79,7 @@ def _log_asphalt(one: OnRoad) -> None:
     lap, radius_m = _filled(AHEAD_M + BEHIND_M, edges_m[-1] - edges_m[0])
     places = [_flat(one, middle + lap)]
     road = rr.LineStrips2D(places, colors=ASPHALT, radii=radius_m, draw_order=1.0)
-    one.file.static(paths.plan(one.rank, "asphalt"), road)
+    one.file.static(paths.plan("asphalt"), road)
 
 
 def _lane_lines(one: OnRoad, step: int) -> Iterator[Strip]:
@@ -126,6 +128,8 @@ def _outcomes(one: OnRoad, step: int) -> Iterator[Strip]:
         flat = _flat(one, np.array([x_m, states.y_m[step, car]]) + (CORNERS * size) @ turn.T)
         yield flat, ANSWERS[answer], LINE_M
         for ends in CROSS if answer == WRONG else ():
+            # on a light ground, as a car may have the cross's colour nearly
+            yield flat[ends], rgba(WHITE), 1.6 * LINE_M
             yield flat[ends], ANSWERS[answer], LINE_M
 
 
@@ -169,27 +173,80 @@ def _in_view(x_m: float, reach_m: float) -> bool:
     return -BEHIND_M + reach_m <= x_m <= AHEAD_M - reach_m
 
 
+@dataclass(frozen=True)
+class _Words:
+    """Words whose middle is wanted at ``x_m``."""
+
+    text: str
+    x_m: float
+    color: Rgba
+
+    @property
+    def reach_m(self) -> float:
+        """Half of about how wide they are."""
+        return (LETTER_M * len(self.text) + AROUND_M) / 2
+
+
 def _log_words(one: OnRoad) -> None:
-    """Which rollout, then what perception says of every slot; how it ended, from then on."""
-    drawn = one.drawn
-    colors = [rgba(WHITE)] * len(drawn.slots)
-    for car, slot in enumerate(drawn.slot_of_car):
-        if slot is not None:
-            colors[slot] = rgba(car_color(car))
+    """Above the road which rollout, or how it ended; below it every car and what is said of it."""
+    below_m = float(_down(one, np.array(one.drawn.road.lane_edges_m[0])))
+    rows = [
+        [
+            _Words(title, -BEHIND_M + 13.0, WORDS),
+            *_apart(list(_said(one, step))),
+        ]
+        for step, title in enumerate(one.titles)
+    ]
+    every = [(words, 0.1 * VERGE_M if not place else below_m) for row in rows
+             for place, words in enumerate(row)]  # fmt: skip
+    columns = rr.Points2D.columns(
+        positions=[(words.x_m, down_m) for words, down_m in every],
+        labels=[words.text for words, _ in every],
+        colors=[words.color for words, _ in every],
+    ).partition([len(row) for row in rows])
+    fixed = rr.Points2D.from_fields(radii=[NO_DOT], show_labels=True, draw_order=30.0)
+    one.log(paths.plan("words"), fixed, columns)
+
+
+def _said(one: OnRoad, step: int) -> Iterator[_Words]:
+    """Names of cars in the picture or reported on, and what perception says; likewise of ghosts."""
+    drawn, states = one.drawn, one.drawn.states
     # nothing more is said at the end and from contact on
-    known = min(one.grey_from, len(drawn.answers))
-    labels: list[str] = []
-    for step, title in enumerate(one.titles):
-        labels.append(title)
-        for place, slot in enumerate(drawn.slots):
-            answer = answer_words(slot, int(drawn.answers[step, place])) if step < known else ""
-            labels.append(f"{slot.name}: {answer}" if answer else slot.name)
-    others_m = [FIRST_WORDS_M + WORDS_SPACING_M * place for place in range(len(drawn.slots))]
-    above_m = (one.rank - 1) * row_m(drawn.road) + 0.25 * VERGE_M
-    places = [(-BEHIND_M + x_m, above_m) for x_m in (11.0, *others_m)]
-    words = rr.Points2D.from_fields(
-        positions=places, radii=[NO_DOT], colors=[rgba(WHITE), *colors], show_labels=True,
-        draw_order=30.0,
-    )  # fmt: skip
-    columns = rr.Points2D.columns(labels=labels).partition([len(places)] * drawn.count)
-    one.log(paths.plan(one.rank, "words"), words, columns)
+    is_known = step < min(one.grey_from, len(drawn.answers))
+    for car, shape in enumerate(drawn.cars):
+        ahead_m = float(states.x_m[step, car] - states.x_m[step, 0])
+        slot = drawn.slot_of_car[car] if is_known else None
+        is_reported = slot is not None and drawn.answers[step, slot] != NOT_EVALUATED
+        if states.present[step, car] and (is_reported or _in_view(ahead_m, 0.0)):
+            yield _words_of(one, shape.name, slot, step, ahead_m)
+    for place, slot in enumerate(drawn.slots):
+        if is_known and place not in drawn.slot_of_car and drawn.answers[step, place] == WRONG:
+            yield _words_of(one, slot.name, place, step, AHEAD_M)
+
+
+def _words_of(one: OnRoad, name: str, slot: int | None, step: int, ahead_m: float) -> _Words:
+    text, color = name, WORDS
+    if slot is not None:
+        answer = int(one.drawn.answers[step, slot])
+        text = f"{name}: {answer_words(one.drawn.slots[slot], answer)}"
+        color = ANSWERS[answer]
+    if ahead_m > AHEAD_M:
+        text = f"{text}, {ahead_m:.0f} m ahead"
+    elif ahead_m < -BEHIND_M:
+        text = f"{text}, {-ahead_m:.0f} m behind"
+    return _Words(text, ahead_m, color)
+
+
+def _apart(words: list[_Words]) -> Iterator[_Words]:
+    """The words, from left to right, moved as far as they would overlap or leave the picture."""
+    words = sorted(words, key=lambda one: one.x_m)
+    free_m, places = -BEHIND_M, list[float]()
+    for one in words:
+        places.append(max(one.x_m, free_m + one.reach_m))
+        free_m = places[-1] + one.reach_m
+    free_m = AHEAD_M
+    for place in reversed(range(len(words))):
+        places[place] = min(places[place], free_m - words[place].reach_m)
+        free_m = places[place] - words[place].reach_m
+    for one, x_m in zip(words, places, strict=True):
+        yield replace(one, x_m=x_m)

@@ -204,6 +204,7 @@ def compact(path: Path, *, blueprint: rrb.Blueprint) -> None:
         stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id)
         stream.set_sinks(rr.FileSink(partial))
         stream.send_blueprint(blueprint, make_active=True, make_default=True)
+        stream.flush()  # it comes first: a viewer that still reads would show a layout of its own
         stream.send_chunks(store)
         stream.flush()
         stream.disconnect()

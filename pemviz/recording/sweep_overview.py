@@ -9,18 +9,13 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pemviz import colors as shades
-from pemviz.colors import Rgba, rgba
+from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, Rgba
 from pemviz.recording import paths
-from pemviz.recording.plot import ui, written
+from pemviz.recording.plot import GRID, ui, written
+from pemviz.recording.shades import WORDS, shade
 from pemviz.recording.stream import RecordingFile, blueprint_of
 
-COLORS = tuple(
-    map(
-        rgba,
-        (shades.SKY, shades.ORANGE, shades.GREEN, shades.VERMILLION, shades.PURPLE, shades.BLUE),
-    )
-)
+COLORS = tuple(map(shade, (SKY, ORANGE, GREEN, VERMILLION, PURPLE, BLUE)))
 WIDTH_TO_HEIGHT = 1.8
 SETTING_GAP = 1.5  # between settings, in rows
 MARGIN_ROWS = 1.5
@@ -83,7 +78,6 @@ def _blueprint() -> rrb.Blueprint:
     estimates = rrb.Spatial2DView(
         name="Estimate and 95 % interval (thin grey: not a 95 % interval), log10",
         origin=paths.SWEEP_ESTIMATES,
-        background=[20, 20, 22],
     )
     summary = rrb.TextDocumentView(name="Summary", origin=paths.SWEEP_SUMMARY)
     tabs = rrb.Tabs(
@@ -131,10 +125,10 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
     step = max(1, math.ceil((frame.high - frame.low) / MOST_GRID_LINES))
     decades = list(range(int(frame.low) + 1, int(frame.high) + 1, step))
     grid = [[(frame.x(d), 0.0), (frame.x(d), frame.rows)] for d in decades]
-    lines = rr.LineStrips2D(grid, colors=rgba(shades.DARK_GREY), radii=ui(0.5))
+    lines = rr.LineStrips2D(grid, colors=WORDS, radii=ui(GRID))
     recording.static(paths.sweep_estimates("grid/lines"), lines)
-    above, white = [(frame.x(d), -0.3) for d in decades], [rgba(shades.WHITE)] * len(decades)
-    numbers = written(above, [f"1e{d}" for d in decades], colors=white)
+    above, grey = [(frame.x(d), -0.3) for d in decades], [WORDS] * len(decades)
+    numbers = written(above, [f"1e{d}" for d in decades], colors=grey)
     recording.static(paths.sweep_estimates("grid/decades"), numbers)
     beside = [
         (-0.25 * frame.rows, first + 0.5 * (len(setting.estimates) - 1))
@@ -152,7 +146,7 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
     for setting, first, setting_color in zip(settings, frame.first_rows, own, strict=True):
         for row, one in enumerate(setting.estimates):
             known = one.log10_probability is not None
-            color = setting_color if known else rgba(shades.GREY)
+            color = setting_color if known else shade(GREY)
             at = frame.low if one.log10_probability is None else one.log10_probability
             points.append((frame.x(at), first + row))
             labels.append(estimate_label(setting.title, one))
@@ -160,7 +154,7 @@ def _log_estimates(recording: RecordingFile, settings: Sequence[SweepSetting]) -
             if one.log10_ci_low is not None and one.log10_ci_high is not None:
                 ends = (frame.x(one.log10_ci_low), frame.x(one.log10_ci_high))
                 strips.append([(end, first + row) for end in ends])
-                strip_colors.append(rgba(shades.GREY) if one.caveats else color)
+                strip_colors.append(shade(GREY) if one.caveats else color)
                 strip_radii.append(ui(0.5) if one.caveats else ui(1.5))
     intervals = rr.LineStrips2D(strips, colors=strip_colors, radii=strip_radii)
     recording.static(paths.sweep_estimates("intervals"), intervals)

@@ -10,12 +10,22 @@ from pemviz.config.toml_files import config_text
 from pemviz.recording.learning import StageFigures
 from pemviz.recording.rollouts import quota_text
 from pemviz.recording.worst import Track
+from pemviz.reports.document import Headline
 from pemviz.reports.escape import markdown_table, markdown_text
-from pemviz.reports.estimate_words import end_text, number_text, share_text
-from pemviz.reports.markdown import PLAIN_MARKS, sections_markdown
+from pemviz.reports.estimate_words import (
+    end_text,
+    interval_name,
+    interval_text,
+    number_text,
+    share_text,
+)
+from pemviz.reports.headline_words import headline_blocks, range_words
+from pemviz.reports.markdown import PLAIN_MARKS, blocks_markdown, sections_markdown
 from pemviz.reports.run_document import ANSWER, TRUST, WHY, run_document
+from pemviz.runs.answers import Answer, answers
 from pemviz.runs.result import RankedRollout, RunResult
 from pemviz.runs.result_file import result_document
+from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.simulators.slots import Slot
 
 NOTHING = "none"
@@ -23,10 +33,12 @@ KINDS = {"pretrain": " (first)", "learn": "", "final": " (final)"}
 RANKED_BY_RULE = 3
 READ_ON = (
     "## How to read on\n"
+    "- **Scene**, where the scenario tells where its cars are: the least robust rollouts; press "
+    "play to watch them.\n"
+    "- **Worst case**: what was random in them, and how they rank.\n"
     "- **Learning**: how the proposal came about, stage by stage.\n"
     "- **Rollouts**: what was simulated; orange curves violate the specification, blue "
     "ones do not, thick ones are the least robust.\n"
-    "- **Worst case**: the least robust rollouts; press play to watch them.\n"
     "- **Config**: everything needed to run this again.\n\n"
     "The time panel below moves along a rollout (timelines `step` and `sim_time`). "
     "Choose `stage` there to replay the tab Learning."
@@ -34,10 +46,39 @@ READ_ON = (
 SCENE_TEXT = (
     "On the roads the ego's centre stays at 0 m. A line around a car, in 3D a mark over it, "
     "tells what perception reports of it at the step: blue detected, orange missed (with a cross "
-    "from above; larger in 3D), none or grey where there is nothing to report. White outlines and "
-    "ellipses of two standard deviations: where the controller tracks a car. Green: how near a car "
-    "must be for a detection to brake hard, where the scenario tells. Grey cars: contact."
+    "from above; larger in 3D), none or grey where there is nothing to report. Outlines, white "
+    "from above and grey in 3D, and ellipses of two standard deviations: where the controller "
+    "tracks a car. Green: how near a car must be for a detection to brake hard, where the scenario "
+    "tells. Grey cars: contact."
 )
+
+
+def strip_text(result: RunResult, *, running: bool) -> str:
+    """The answer in a few lines: how likely, the range to act on and what decides it, sampling."""
+    found = answers(result)
+    if not found:
+        (section,) = run_document(result, running=running).choose(("answer",))
+        return "\n\n".join(blocks_markdown(section.full, level=4, marks=PLAIN_MARKS))
+    first = found[0]
+    (headline,) = [one for one in headline_blocks(result) if isinstance(one, Headline)]
+    likely = f"**{markdown_text(headline.text)}**, {markdown_text(headline.given)}"
+    if running:
+        return f"{likely}\n\nThe run goes on; stages done so far: {len(result.stages)}."
+    act_on = ", ".join(range_words(first.open, result))
+    return f"{likely}\n\n**{markdown_text(act_on)}**. {markdown_text(_sampling(result, first))}"
+
+
+def _sampling(result: RunResult, answer: Answer) -> str:
+    """Whether the sampling is to be relied on, with its interval."""
+    estimate, caveats = answer.estimate, answer.caveats
+    interval = interval_name(estimate, caveats=caveats)
+    figures = f"{interval} {interval_text(estimate, caveats=caveats)}"
+    about = run_diagnostics(result) if answer.rule is None else estimate.diagnostics
+    if caveats:
+        return f"Sampling not ok: {figures}"
+    if about:
+        return f"Sampling with a warning ({about[0].text}): {figures}"
+    return f"Sampling ok: {figures}"
 
 
 def answer_text(result: RunResult, *, running: bool) -> str:

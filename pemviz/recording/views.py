@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from pemviz.charts.chart import with_unit
 from pemviz.recording import paths
-from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape
+from pemviz.recording.plot import LARGE, NORMAL, ROWS, WITHOUT_LEGEND, Shape, named_rows
 from pemviz.recording.scene_plan import Bounds, plan_bounds
 from pemviz.recording.stream import blueprint_of
 from pemviz.simulators.scene import Road
@@ -21,12 +21,12 @@ ContainerKind = Literal["tabs", "horizontal", "vertical", "grid"]
 MOST_STAGE_TABS = 14
 MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
-EYE_M = (-7.0, -13.0, 10.0)
-LOOK_AT_M = (11.0, 6.0, 0.0)
+EYE_M = (-8.0, -13.0, 11.0)
+LOOK_AT_M = (11.0, 5.0, 0.0)
+STRIP_SHARE = 0.2
+"""Of the height that the scene has below the answer in short."""
 LEGEND_CORNERS = {paths.MISSED_SHARE: rrb.Corner2D.RightTop}
 """Of plots with few curves: where these hardly ever run."""
-PLOT_BACKGROUND = (13, 16, 17)
-"""That of the viewer's own plots."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class ViewSpec:
         axis: Fixed range of the vertical axis.
         shape: Of a drawn plot.
         bounds: What a plan shows at first, from left to right and from top to bottom.
+        is_strip: Whether its title is left out, as it says what it is.
     """
 
     kind: ViewKind
@@ -46,6 +47,7 @@ class ViewSpec:
     axis: tuple[float, float] | None = None
     shape: Shape = NORMAL
     bounds: Bounds | None = None
+    is_strip: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Subject:
         road: Of a scenario that tells where its cars are.
         signal: The one that is drawn of the least robust rollouts; by default the first.
         noise: Names what was random at steps; empty: nothing was.
+        rows: Names of the rows that tell when a rollout's outcomes were wrong.
     """
 
     stages: int
@@ -80,11 +83,13 @@ class Subject:
     road: Road | None = None
     signal: Signal | None = None
     noise: str = ""
+    rows: tuple[str, ...] = ("rank 1",)
 
 
 def all_views(subject: Subject) -> ContainerSpec:
-    """The tabs, in reading order."""
-    tabs = (_answer(subject), _learning(subject), _rollouts(subject), _worst(subject), _config())
+    """The tabs: first what happens, with the answer as a strip above, then curves, then text."""
+    curves = (_learning(subject), _rollouts(subject))
+    tabs = (*_worst(subject), *curves, _answer(subject), _config())
     return ContainerSpec("tabs", "pemviz", tabs)
 
 
@@ -231,35 +236,35 @@ def _stage_rollouts(subject: Subject, stage: int) -> ContainerSpec:
     return _below(f"Stage {stage}", above, perception, shares=(2.0, 1.0) if many else None)
 
 
-def _worst(subject: Subject) -> ContainerSpec:
+def _worst(subject: Subject) -> tuple[ContainerSpec, ...]:
     """The least robust rollouts, in 3D and from above where the scenario tells where cars are."""
     signal = subject.signal or subject.signals[0]
-    plots = [
-        ViewSpec(
-            "series", f"Least robust: {_title(signal).lower()}", (paths.worst_series(signal.key),)
-        ),
-        ViewSpec(
-            "series", "P(detected) against step, grey: model", (paths.WORST_DETECTION,),
-            axis=PROBABILITY_AXIS,
-        ),
-    ]  # fmt: skip
+    path, title = paths.worst_series(signal.key), f"Least robust: {_title(signal).lower()}"
+    strip = ViewSpec("text", "Answer in short", (paths.STRIP,), is_strip=True)
+    plots = (
+        _plot("Misses against time, by rank", paths.OUTCOMES, shape=named_rows(subject.rows)),
+        ViewSpec("series", title, (path,)),
+    )
+    title, path = "P(detected) against step, grey: model", paths.WORST_DETECTION
+    curves = [ViewSpec("series", title, (path,), axis=PROBABILITY_AXIS)]
     if subject.frames:
-        plots.insert(0, ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,)))
+        curves.insert(0, ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,)))
     if subject.noise:
-        plots.append(ViewSpec("series", subject.noise, (paths.WORST_NOISE,)))
-    upper = _below("Plots", *plots)
-    misses = _plot("Misses against time, by rank", paths.OUTCOMES)
+        curves.append(ViewSpec("series", subject.noise, (paths.WORST_NOISE,)))
     ranking = _text("Ranking", paths.WORST_SUMMARY)
-    lower = _beside("Outcomes", misses, ranking, shares=(1.6, 1.0))
+    ranked = _beside("Ranked", _below("Curves", *curves), ranking, shares=(1.2, 1.0))
     if subject.road is None:
-        return _below("Worst case", upper, lower, shares=(1.25, 1.0))
-    title, path = "Least robust rollouts, seen from the ego car", paths.SCENE + paths.SUBTREE
-    above = "Least robust rollouts from above; white: where the controller tracks a car"
+        upper = _beside("Plots", *plots)
+        return (_below("Worst case", strip, upper, ranked, shares=(STRIP_SHARE, 0.8, 0.8)),)
+    scene = ViewSpec("scene", "Least robust rollouts in 3D", (paths.SCENE + paths.SUBTREE,))
+    above = "Rank 1 from above; white: where the controller tracks a car"
     bounds = plan_bounds(subject.road)
     plan = ViewSpec("plan", above, (paths.PLAN + paths.SUBTREE,), bounds=bounds)
-    scenes = _below("Scenes", ViewSpec("scene", title, (path,)), plan, shares=(1.0, 1.0))
-    upper = _beside("Scene", scenes, upper, shares=(1.6, 1.0))
-    return _below("Worst case", upper, lower, shares=(1.9, 1.0))
+    upper = _beside(
+        "Least robust", scene, _below("Plots", *plots, shares=(1.3, 1.0)), shares=(1.6, 1.0)
+    )
+    first = _below("Scene", strip, upper, plan, shares=(STRIP_SHARE, 1.0, 0.55))
+    return first, replace(ranked, title="Worst case")
 
 
 def _config() -> ContainerSpec:
@@ -301,13 +306,13 @@ def _view(spec: ViewSpec) -> rrb.View:
     }
     match spec.kind:
         case "text":
-            return rrb.TextDocumentView(**common)
+            return rrb.TextDocumentView(**common, titlebar=not spec.is_strip)
         case "image":
             return rrb.Spatial2DView(**common)
         case "plot" | "plan":
             x, y = spec.bounds or (spec.shape.bounds_x, spec.shape.bounds_y)
             bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
-            return rrb.Spatial2DView(**common, background=PLOT_BACKGROUND, visual_bounds=bounds)
+            return rrb.Spatial2DView(**common, visual_bounds=bounds)
         case "series":
             corner = LEGEND_CORNERS.get(first.rpartition("/")[2])
             return rrb.TimeSeriesView(

@@ -16,17 +16,16 @@ from pemviz.colors import (
     GREY,
     MISSED,
     ORANGE,
-    PEM_ON_BLACK,
-    PROPOSAL_ON_BLACK,
+    PEM_IN_RECORDING,
+    PROPOSAL_IN_RECORDING,
     PURPLE,
     SKY,
     VERMILLION,
-    WHITE,
-    rgba,
 )
 from pemviz.latents import Latents
 from pemviz.recording import paths, plot
 from pemviz.recording.rollouts import THICK, THIN, series_colors
+from pemviz.recording.shades import shade
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.runs.drawn_rollout import (
     NOT_EVALUATED,
@@ -45,16 +44,13 @@ from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Signal, Simulator, StageResult, place_of
 
 MOST_NOISE_SERIES = 8
-NOISE_COLORS = tuple(map(rgba, (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)))
+NOISE_COLORS = tuple(map(shade, (ORANGE, SKY, GREEN, PURPLE, VERMILLION, BLUE)))
 MOST_STARTS = 6
-OUTCOME_ROWS = 8
+OUTCOME_ROWS = 6
 MISS_HEIGHT = 0.6
 """Of a row."""
 DETECTION_RADIUS = 0.006
 """Half of a detection's height, in heights of the plot."""
-SHORT_NAME = 8
-"""Letters of a row's name that the usual margin holds."""
-LONG_NAMES = plot.Shape(left=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +215,7 @@ def log_worst_plots(
     file.style(
         paths.WORST_DETECTION,
         names=["perception error model", "proposal it was sampled from"],
-        colors=[rgba(PEM_ON_BLACK), rgba(PROPOSAL_ON_BLACK)],
+        colors=[shade(PEM_IN_RECORDING), shade(PROPOSAL_IN_RECORDING)],
         widths=[2.0, 2.0],
     )
     series(paths.WORST_DETECTION, np.array([worst.pem_probability, worst.proposal_probability]))
@@ -253,9 +249,9 @@ def _log_outcomes(file: RecordingFile, tracks: Sequence[Track], *, stage: int, d
             in_view = (
                 always if track.drawn is None else track.drawn.answers[:, slot] != NOT_EVALUATED
             )
-            rows.append(_OutcomeRow(f"rank {rank}, {name}", right, in_view))
+            rows.append(_OutcomeRow(row_name(rank, name), right, in_view))
         if not track.right_by_slot:
-            rows.append(_OutcomeRow(f"rank {rank}", track.detected, always))
+            rows.append(_OutcomeRow(row_name(rank), track.detected, always))
     rows = rows[:OUTCOME_ROWS]
     steps = rows[0].right.size
     frame = outcome_frame([row.name for row in rows], steps=steps, dt_s=dt_s)
@@ -263,22 +259,27 @@ def _log_outcomes(file: RecordingFile, tracks: Sequence[Track], *, stage: int, d
     plot.log_axes(log, paths.OUTCOMES, frame)
     for place, row in enumerate(rows, start=1):
         log(paths.outcomes(place), _misses(frame, row, place=place, dt_s=dt_s))
-    entries = [(0, "missed", rgba(MISSED)), (1, "detected", rgba(DETECTED))]
+    entries = [(0, "missed", shade(MISSED)), (1, "detected", shade(DETECTED))]
     if not all(np.all(row.applies) for row in rows):
-        entries.append((2, "not in view", rgba(GREY)))
+        entries.append((2, "not in view", shade(GREY)))
     plot.log_legend(log, paths.OUTCOMES, frame, entries)
     times, path = StepTimes(stage, count=steps + 1, dt_s=dt_s), paths.part(paths.OUTCOMES, "time")
     strips = [[frame.upright(step * dt_s)] for step in range(times.count)]
-    file.static(path, rr.LineStrips2D.from_fields(colors=[rgba(WHITE)], radii=[plot.ui(0.7)]))
+    file.static(path, rr.LineStrips2D.from_fields(colors=[shade(PURPLE)], radii=[plot.ui(1.0)]))
     file.along(path, rr.LineStrips2D.columns(strips=strips), times=times)
+
+
+def row_name(rank: int, slot: str = "") -> str:
+    """Whose outcomes a row has: of several slots one."""
+    return f"rank {rank}, {slot}" if slot else f"rank {rank}"
 
 
 def outcome_frame(names: Sequence[str], *, steps: int, dt_s: float) -> plot.Frame:
     """Time to the right, rows downwards, the first on top."""
     ticks = tuple((float(place), name) for place, name in enumerate(names, start=1))
     y = plot.Axis(low=len(names) + 0.5, high=0.5, ticks=ticks)
-    shape = LONG_NAMES if max(map(len, names)) > SHORT_NAME else plot.NORMAL
-    return plot.Frame(x=plot.number_axis(0.0, steps * dt_s, unit="s"), y=y, shape=shape)
+    x = plot.number_axis(0.0, steps * dt_s, unit="s")
+    return plot.Frame(x=x, y=y, shape=plot.named_rows(names))
 
 
 def _misses(frame: plot.Frame, row: _OutcomeRow, *, place: int, dt_s: float) -> rr.LineStrips2D:
@@ -287,14 +288,14 @@ def _misses(frame: plot.Frame, row: _OutcomeRow, *, place: int, dt_s: float) -> 
     turns = np.flatnonzero(np.diff(row.applies)) + 1
     runs = list(pairwise([0, *turns.tolist(), steps]))
     lines = [frame.places(np.array(run) * dt_s, np.full(2, float(place))) for run in runs]
-    shades = [rgba(DETECTED if row.applies[first] else GREY) for first, _ in runs]
+    shades = [shade(DETECTED if row.applies[first] else GREY) for first, _ in runs]
     ends = np.array([place - MISS_HEIGHT / 2, place + MISS_HEIGHT / 2])
     middles_s = (np.flatnonzero(~row.right & row.applies) + 0.5) * dt_s
     missed = [frame.places(np.full(2, middle_s), ends) for middle_s in middles_s]
     half_step = frame.shape.width / steps / 2.0
     return rr.LineStrips2D(
         [*lines, *missed],
-        colors=[*shades, *[rgba(MISSED)] * len(missed)],
+        colors=[*shades, *[shade(MISSED)] * len(missed)],
         radii=[*[DETECTION_RADIUS] * len(lines), *[half_step] * len(missed)],
         draw_order=20.0,
     )

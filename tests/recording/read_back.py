@@ -81,11 +81,14 @@ def texts(path: Path) -> dict[str, str]:
 
 
 def titles(path: Path) -> list[str]:
-    """Of the views in the recording's layout."""
+    """Of the views in the recording's last layout, which has most; the first is of texts alone."""
     reader, name = rr.chunk.RrdReader(path), "ViewBlueprint:display_name"
-    stored = [c.to_record_batch() for c in reader.stream(store=reader.blueprints()[-1])]
-    rows = [row for b in stored if name in b.schema.names for row in b[name].to_pylist()]
-    return [title for row in rows for title in row]
+    layouts = []
+    for layout in reader.blueprints():
+        stored = [chunk.to_record_batch() for chunk in reader.stream(store=layout)]
+        rows = [row for b in stored if name in b.schema.names for row in b[name].to_pylist()]
+        layouts.append([title for row in rows for title in row])
+    return max(layouts, key=len)
 
 
 def strips(path: Path, entity: str) -> list[AnyArray]:

@@ -1,6 +1,7 @@
 """Every view shows something, every path is documented, texts say what is left out."""
 
 import ast
+import subprocess
 import unicodedata
 from dataclasses import replace
 from functools import partial
@@ -12,6 +13,7 @@ import rerun as rr
 
 from pemviz.config import ExperimentConfig
 from pemviz.recording import Recorder, paths, text
+from pemviz.recording.open import viewer_program
 from pemviz.recording.views import (
     ContainerSpec,
     Subject,
@@ -23,16 +25,19 @@ from pemviz.recording.views import (
     shown_stages,
     views_with_data,
 )
-from pemviz.reports.estimate_words import short_probability
+from pemviz.reports.estimate_words import interval_text, short_probability
+from pemviz.reports.headline_words import range_words
+from pemviz.runs.answers import answers
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.simulators.drawn_scene import drawn_scene
+from pemviz.types import Diagnostic
 from tests.recording.conftest import LEARNING, record, with_blind_pem
 from tests.recording.read_back import chunks, entities, texts, titles
 
 PACKAGE = Path(text.__file__).parent
-TABS = ["Answer", "Learning", "Rollouts", "Worst case", "Config"]
+TABS = ["Scene", "Worst case", "Learning", "Rollouts", "Answer", "Config"]
 
 
 def subject_of(recorded, **changes) -> Subject:
@@ -109,12 +114,63 @@ def test_tabs_read_in_order_and_titles_name_axes_with_units(learned):
     same_in_every_rollout = {"Lead speed [m/s] against step"}
     assert set(titles(learned.path)) == {view.title for view in views} - same_in_every_rollout
     reader = rr.chunk.RrdReader(learned.path)
-    assert len(reader.blueprints()) == 1, "a complete run needs no second layout"
+    assert len(reader.blueprints()) == 2, "one before the first stage, and one of it all"
     plots = [v.title for v in views if v.kind in ("plot", "series")]
     assert [title for title in plots if "against" not in title] == [
         "How far the answer is open (line: the answer)"
     ]
     assert any("[m/s]" in title for title in plots)
+
+
+def test_the_first_tab_is_the_scene_below_the_answer_then_come_curves_then_text(learned):
+    planned = all_views(subject_of(learned))
+    first, *_ = planned.parts
+    assert planned.active == 0
+    assert [view.kind for view in views_of(first)][:2] == ["text", "scene"]
+    assert views_of(first)[0].paths == (paths.STRIP,)
+    kinds = [[view.kind for view in views_of(tab)] for tab in planned.parts]
+    mostly_text = [kind.count("text") >= len(kind) / 2 for kind in kinds]
+    assert mostly_text == [False, True, False, False, True, True]
+    without_scene = all_views(subject_of(learned, road=None))
+    assert views_of(without_scene)[0].paths == (paths.STRIP,)
+    assert "scene" not in {view.kind for view in views_of(without_scene)}
+
+
+def test_what_a_viewer_reads_first_is_a_layout(learned, tmp_path):
+    """Else it shows one of its own, of all texts and the first curves, until it has read all."""
+    for name, options in (("plain", {}), ("compact", {"compacted": True})):
+        folder = tmp_path / name
+        folder.mkdir()
+        config = replace(LEARNING, method="naive", final_rollouts=10)
+        path = record(with_blind_pem(config), folder, **options).path
+        order = printed(path)
+        (activated, *_) = [place for place, line in enumerate(order) if "Activation" in line]
+        data = [place for place, line in enumerate(order) if " - /rollouts/" in line]
+        assert activated < min(data), name
+
+
+def printed(path: Path) -> list[str]:
+    """A file's messages in their order, a line each."""
+    words = [viewer_program(), "rrd", "print", path]
+    return subprocess.run(words, capture_output=True, check=True, text=True).stdout.splitlines()
+
+
+def test_the_strip_tells_how_likely_the_range_to_act_on_what_decides_it_and_the_sampling(learned):
+    strip, result = texts(learned.path)[paths.STRIP], learned.result
+    (answer,) = answers(result)
+    plain = strip.replace("\\", "")
+    assert short_probability(answer.estimate) in plain
+    assert ", ".join(range_words(answer.open, result)) in plain
+    assert "To act on" in plain
+    assert "Sampling" in plain
+    assert interval_text(answer.estimate, caveats=answer.caveats) in plain
+    assert len(plain) < 600
+    few = Diagnostic("few-effective-samples", 2.0, 10.0, "few effective samples")
+    unsure = replace(result, estimate=replace(result.estimate, diagnostics=(few,)))
+    assert "Sampling not ok" in text.strip_text(unsure, running=False)
+    assert "goes on" in text.strip_text(result, running=True)
+    nothing = replace(result, estimate=None, status="failed", message="out of memory")
+    assert "out of memory" in text.strip_text(nothing, running=False)
 
 
 def test_paths_are_spelled_out_in_one_module():

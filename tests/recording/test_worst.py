@@ -8,7 +8,7 @@ import PIL.Image
 import pytest
 
 import pemviz
-from pemviz.colors import DETECTED, GREY, MISSED, rgba
+from pemviz.colors import DETECTED, GREY, MISSED, WHITE, rgba
 from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.toml_files import load_preset
 from pemviz.recording import paths
@@ -65,25 +65,33 @@ def test_cars_are_grey_and_words_tell_the_impact_from_contact_on(recorded, rollo
     assert [shade == grey for shade in shades] == [step >= contact for step in range(41)]
     speed = rollout.signals["impact_speed"][0, contact]
     words = f"contact at {contact * 0.1:.2f} s, impact at {speed:.1f} m/s"
-    for path, name in ((paths.lane(1, "words"), "Points3D"), (paths.plan(1, "words"), "Points2D")):
+    for path, name in ((paths.lane(1, "words"), "Points3D"), (paths.plan("words"), "Points2D")):
         labels = [row[0] for row in values(recorded, path, f"{name}:labels")]
         assert [words in label for label in labels] == [step >= contact for step in range(41)]
 
 
 def test_marks_and_words_tell_what_perception_told_of_each_car(recorded, rollout):
     contact = first_contact(rollout)
-    labels = values(recorded, paths.plan(1, "words"), "Points2D:labels")
-    lines = values(recorded, paths.plan(1, "outcomes"), "LineStrips2D:colors")
+    labels = values(recorded, paths.plan("words"), "Points2D:labels")
+    lines = values(recorded, paths.plan("outcomes"), "LineStrips2D:colors")
     present = CutIn().present(rollout.signals)[0]
     assert not present[:contact].all()
+    scene = CutIn().scene({name: v[0] for name, v in rollout.signals.items()})
+    names = [car.name for car in CutIn().scene_cars]
     for step in range(contact):
         seen, there = rollout.detected[0, step], present[step]
         expected = [
             "not in view" if not there[slot] else "detected" if seen[slot] else "MISSED"
             for slot in range(2)
         ]
-        assert [label.split(": ")[1] for label in labels[step][1:]] == expected
-        shades = [rgba(MISSED)] * 3 * expected.count("MISSED")
+        said = dict(label.partition(": ")[::2] for label in labels[step][1:])
+        on_road = scene.present[step]
+        answers = ["", *expected]
+        assert {name: words.partition(",")[0] for name, words in said.items()} == {
+            name: answers[car] for car, name in enumerate(names) if on_road[car]
+        }
+        # a missed car has a line around it, and a cross of two lines on a light ground
+        shades = ([rgba(MISSED)] * 3 + [rgba(WHITE)] * 2) * expected.count("MISSED")
         shades += [rgba(DETECTED)] * expected.count("detected")
         numbers = sorted(r << 24 | g << 16 | b << 8 | a for r, g, b, a in shades)
         assert sorted(lines[step]) == numbers
@@ -103,7 +111,7 @@ def test_ellipses_are_two_standard_deviations_around_confirmed_tracks_alone(reco
     assert [len(row) for row in found] == shown.sum(axis=1).tolist()
     sizes = np.concatenate([np.array(row)[:, :2] for row in found if row])
     np.testing.assert_allclose(sizes, np.tile(2 * np.array(SPREAD_M), (len(sizes), 1)), rtol=1e-6)
-    flat = values(recorded, paths.plan(1, "tracks"), "LineStrips2D:strips")
+    flat = values(recorded, paths.plan("tracks"), "LineStrips2D:strips")
     assert [len(row) for row in flat] == (2 * shown.sum(axis=1)).tolist()
 
 
