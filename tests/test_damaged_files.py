@@ -52,7 +52,7 @@ def test_a_message_is_one_short_line_that_can_be_printed(message):
         ("# " + "x" * 1_000_001, "at most 1000000 bytes"),
         ("x" * 3000 + " = 1", "no such field"),
         ("[scenario]\ncamera_height_m = 1e308", "at most 100"),
-        ("[scenario]\nspeed_gain_per_s = 1e308", "at most 1e\\+06"),
+        ("[scenario]\nspeed_gain_per_s = 1e308", "at most 1,000,000"),
     ],
 )
 def test_a_damaged_configuration_is_refused(tmp_path, text, words):

@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import tyro
 
 from pemviz.config.ranges import did_you_mean, field_docs, optional_value
+from pemviz.config.topics import topic_of
 from pemviz.errors import InputError
 
 HELP = ("-h", "--help")
 HELP_ALL = "--help-all"
-REST = "*"
-"""Among a topic's options: it has those that no topic names; without one they are ``MORE``."""
 MORE = "more"
+"""The topic of options that no other has."""
 WIDEST = 100
 INDENT = 6
 
@@ -39,10 +39,7 @@ class HelpPage:
 
     def topic_of(self, name: str) -> str:
         """The topic that explains an option."""
-        for topic, names in self.topics.items():
-            if any(name == one or (one.endswith(".") and name.startswith(one)) for one in names):
-                return topic
-        return next((topic for topic, names in self.topics.items() if REST in names), MORE)
+        return topic_of(name, self.topics) or MORE
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import tyro
 
 from pemviz.cli.help import HelpPage, asked_help, help_text
 from pemviz.config.ranges import Range
+from pemviz.config.typed_text import PERCENT, share_of
 from pemviz.errors import EXIT_DONE, HelpShown, InputError
 
 Arguments = TypeVar("Arguments")
@@ -25,8 +26,6 @@ NO_NUMBER = re.compile(
     r"|invalid literal for (?P<whole>int)\(.*?10): (?P<word>'.*?')"
 )
 """Of a number, also one that may be left out."""
-PERCENT = re.compile(r"^(?P<number>\d+(\.\d+)?)%$")
-"""A word that is a percentage stands for its share: 10% for 0.1."""
 
 
 def parse_arguments(
@@ -57,7 +56,7 @@ def parse_arguments(
     if topic is not None and page is not None:
         print(help_text(page, topic, kind, default=default))
         raise HelpShown(EXIT_DONE)
-    given = [PERCENT.sub(_share, word) for word in words] if topic is None else ["--help"]
+    given = [PERCENT.sub(share_of, word) for word in words] if topic is None else ["--help"]
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
@@ -74,10 +73,6 @@ def parse_arguments(
             raise HelpShown(EXIT_DONE) from None
         text = one_line(complaint.getvalue(), command=f"{program} {command}")
         raise InputError(text) from None
-
-
-def _share(percent: re.Match[str]) -> str:
-    return repr(float(percent["number"]) / 100.0)
 
 
 def one_line(complaint: str, *, command: str) -> str:

@@ -7,12 +7,13 @@ from typing import Annotated
 
 import tyro
 
-from pemviz.cli.help import REST, HelpPage
+from pemviz.cli.help import HelpPage
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import GateLimits, read_limits, read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
+from pemviz.config.topics import TOPICS
 from pemviz.errors import ConfigError
 from pemviz.sampling.registry import SHIPPED, ignored_note, ignored_settings
 
@@ -45,20 +46,7 @@ Examples
   pemviz record --json --fail-above 1e-9
 More: --help question, detector, certainty, method, output, scenario, encounter,
 sumo, or an option such as --help spec; --help-all for everything""",
-    topics={
-        "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator", "carla",
-                     "sumo_config", "encounters_per_hour"),
-        "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "measured_memory",
-                     "memory_curve", "position_errors", "allow_python"),
-        "certainty": ("precision", "max_rollouts", "max_minutes", "target", "plan", "reference",
-                      "repetitions", "seed"),
-        "output": ("out", "resume", "verbose", "json", "fail_above", "summary", "junit", "keep",
-                   "no_recording", "no_frames", "live"),
-        "scenario": ("scenario.",),
-        "encounter": ("encounter.",),
-        "sumo": ("sumo.",),
-        "method": (REST,),
-    },
+    topics=TOPICS,
     notes={
         "question": "What is simulated, and what must hold.",
         "detector": "What stands in for the detector.",

@@ -43,10 +43,16 @@ class Range:
         """The interval in words, as error messages and help texts quote it."""
         parts: list[str] = []
         if self.low is not None:
-            parts.append(f"{'above' if self.low_open else 'at least'} {self.low:g}")
+            parts.append(f"{'above' if self.low_open else 'at least'} {_bound(self.low)}")
         if self.high is not None:
-            parts.append(f"{'below' if self.high_open else 'at most'} {self.high:g}")
+            parts.append(f"{'below' if self.high_open else 'at most'} {_bound(self.high)}")
         return " and ".join(parts) or "any finite number"
+
+
+def _bound(value: float) -> str:
+    """A bound as it is read: whole ones in full, up to those of 64 bits."""
+    is_long = 1e5 <= abs(value) < 1e19 and value == int(value)
+    return f"{int(value):,}" if is_long else f"{value:g}"
 
 
 Count = Annotated[int, Range(low=0, high=2**53)]

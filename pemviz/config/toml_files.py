@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, cast
 
@@ -60,6 +61,13 @@ def load_preset(name: str) -> ExperimentConfig:
             f"preset = {name!r}: must be one of {', '.join(names)}{did_you_mean(name, names)}"
         )
     return load_config(asset_path("presets", f"{name}.toml"))
+
+
+def preset_words(name: str) -> str:
+    """What a shipped preset is: how its file begins, without what is for those who read code."""
+    with asset_path("presets", f"{name}.toml").open(encoding="utf-8") as lines:
+        about = [line[1:].strip() for line in takewhile(lambda line: line.startswith("#"), lines)]
+    return " ".join(line for line in about if "`" not in line)
 
 
 def load_config(path: Path) -> ExperimentConfig:

@@ -19,6 +19,7 @@ from pemviz.panel.experiment_tab import ExperimentTab
 from pemviz.panel.headline import Head, status_words
 from pemviz.panel.learning_tab import LearningTab
 from pemviz.panel.loading import load_run
+from pemviz.panel.new_run_place import NewRunPlace
 from pemviz.panel.page import COLUMN_PX
 from pemviz.panel.process_memory import give_back
 from pemviz.panel.recordings_folder import RecordingsFolder
@@ -165,7 +166,12 @@ class App:
         self._tokens: dict[int, str] = {}
         self._lock = threading.Lock()
         runs = RunsPlace(hub)
-        requests = {**runs.requests, **RunPlace(runs.run).requests, "stop": self._stop}
+        requests = {
+            **runs.requests,
+            **RunPlace(runs.run).requests,
+            **NewRunPlace(hub, runs.run).requests,
+            "stop": self._stop,
+        }
         self._site = OwnPages(
             requests,
             version=lambda: hub.controller.state.version,

@@ -1,6 +1,7 @@
 """A real Chromium, the panel in this process, and a screenshot of every flow."""
 
 import os
+import re
 import shutil
 import threading
 from pathlib import Path
@@ -46,6 +47,7 @@ What they draw, and when they ask for it, is theirs.
 """
 VIEWPORT = {"width": 1280, "height": 800}
 WAIT_MS = 120_000
+VISERS_OWN = re.compile(r"THREE|WebGL|viser|Connect|chrome version|ViewerCamera", re.IGNORECASE)
 
 
 def absent(reason: str):
@@ -166,4 +168,25 @@ def open_page(chromium, panel):
     yield open_one
     for context in contexts:
         context.close()
+    assert complaints == []
+
+
+@pytest.fixture
+def page(chromium, panel):
+    """A page at 1280 x 720 whose console must stay clean."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 720})
+    complaints = []
+    made = context.new_page()
+    made.set_default_timeout(WAIT_MS)
+    made.on("pageerror", lambda error: complaints.append(str(error)))
+    made.on(
+        "console",
+        lambda message: (
+            complaints.append(message.text)
+            if message.type in ("error", "warning") and not VISERS_OWN.search(message.text)
+            else None
+        ),
+    )
+    yield made
+    context.close()
     assert complaints == []

@@ -111,3 +111,8 @@ def on_the_page(page, locator):
         box is not None and box["x"] >= 0 and box["x"] + box["width"] <= size["width"]
         and box["y"] >= 0 and box["y"] + box["height"] <= size["height"]
     )  # fmt: skip
+
+
+def fits(page):
+    """Whether nothing of the page lies beside the window."""
+    return page.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -2,41 +2,14 @@
 
 import re
 
-import pytest
 from playwright.sync_api import expect
 
 from tests.browser.conftest import WAIT_MS
-
-VISERS_OWN = re.compile(r"THREE|WebGL|viser|Connect|chrome version|ViewerCamera", re.IGNORECASE)
-
-
-@pytest.fixture
-def page(chromium, panel):
-    """A page at 1280 x 720 whose console must stay clean."""
-    context = chromium.new_context(viewport={"width": 1280, "height": 720})
-    complaints = []
-    made = context.new_page()
-    made.set_default_timeout(WAIT_MS)
-    made.on("pageerror", lambda error: complaints.append(str(error)))
-    made.on(
-        "console",
-        lambda message: (
-            complaints.append(message.text)
-            if message.type in ("error", "warning") and not VISERS_OWN.search(message.text)
-            else None
-        ),
-    )
-    yield made
-    context.close()
-    assert complaints == []
+from tests.browser.driving import fits
 
 
 def shown_step(page):
     return int(page.locator(".values").get_attribute("data-step"))
-
-
-def fits(page):
-    return page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_runs_are_sorted_filtered_opened_deleted_and_brought_back(page, panel, shots):
@@ -113,7 +86,7 @@ def test_it_is_dark_where_asked_and_readable_on_a_phone(page, panel, shots):
     page.set_viewport_size({"width": 390, "height": 800})
     for place in ("runs", "run/sample", "new"):
         page.goto(f"{panel.pages}/#/{place}")
-        page.locator("main, iframe.form").first.wait_for()
+        page.locator("main").first.wait_for()
         page.wait_for_timeout(500)
         assert fits(page), place
     page.goto(f"{panel.pages}/#/run/sample")

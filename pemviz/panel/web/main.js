@@ -4,6 +4,7 @@ import * as address from "/address.js";
 import { listen, ask } from "/talk.js";
 import { Runs } from "/runs.js";
 import { Run } from "/run.js";
+import { NewRun, left } from "/new_run.js";
 
 const KEYS = [
   ["1, 2, 3", "Runs, Run, New run"],
@@ -14,6 +15,7 @@ const KEYS = [
   ["m, M", "next miss, the one before"],
   ["c", "contact"],
   ["v", "seen from behind, from above"],
+  ["Ctrl Enter", "in New run: run it"],
   ["d", "light, dark"],
   ["?", "this list"],
 ];
@@ -58,7 +60,7 @@ function App() {
       const act = {
         1: () => go("runs"),
         2: () => go("run", at.name || state?.run),
-        3: () => go("new"),
+        3: () => { location.hash = left.hash; },
         "?": () => setHelp((shown) => !shown),
         d: turn,
         Escape: () => setHelp(false),
@@ -76,7 +78,7 @@ function App() {
     <header>
       <strong>pemviz</strong>
       <nav aria-label="Places">
-        ${tabs.map(([key, words]) => html`<a href=${key === "run" && name ? `#/run/${encodeURIComponent(name)}` : `#/${key}`}
+        ${tabs.map(([key, words]) => html`<a href=${key === "run" && name ? `#/run/${encodeURIComponent(name)}` : key === "new" ? left.hash : `#/${key}`}
           aria-current=${place === key ? "page" : undefined}>${words}</a>`)}
       </nav>
       <div class="grow" role="status">
@@ -91,7 +93,7 @@ function App() {
     ${place === "run" && (name
       ? html`<${Run} key=${name} name=${name} at=${{ ...at, place: "run", name }} state=${state} dark=${dark} tell=${setWrong} />`
       : html`<main class="page"><p>No run yet. <a href="#/new">Set one up.</a></p></main>`)}
-    ${place === "new" && html`<iframe class="form" title="New run" src="/scene/form"></iframe>`}
+    ${place === "new" && html`<${NewRun} at=${at} state=${state} tell=${setWrong} />`}
     ${help && html`<dialog open aria-label="Keys"><h2>Keys</h2><table>${KEYS.map(([key, words]) =>
       html`<tr><th>${key}</th><td>${words}</td></tr>`)}</table><button onClick=${() => setHelp(false)}>Close</button></dialog>`}`;
 }

@@ -177,7 +177,8 @@ export function Run({ name, at, state, dark, tell }) {
 function Strip({ run, set }) {
   const { summary } = run;
   const [open, setOpen] = useState(false);
-  if (!summary.headline) return html`<section class="strip"><div>${run.name}: ${summary.sampling}</div></section>`;
+  const again = html`<a class="tag" href=${`#/new?from=${encodeURIComponent(run.name)}`}>Run again with changes</a>`;
+  if (!summary.headline) return html`<section class="strip"><div class="facts">${run.name}: ${summary.sampling} <span class="grow"></span>${again}</div></section>`;
   const doubts = summary.warnings.length;
   return html`<section class="strip" aria-label="Answer">
     <div class="answer">${summary.headline}</div>
@@ -186,6 +187,7 @@ function Strip({ run, set }) {
       <span class=${summary.sampling_holds ? "yes" : "no"}>${summary.sampling_holds ? "\u2713 sampling ok" : "\u2717 sampling does not hold"}</span>
       ${doubts > 0 && html`<button class="link" aria-expanded=${open} onClick=${() => setOpen(!open)}>${doubts} warning${doubts > 1 ? "s" : ""} ${open ? "\u25b4" : "\u25be"}</button>`}
       <span class="grow"></span><span class="quiet">${run.name}, ${summary.method}, ${run.simulated.toLocaleString("en")} rollouts</span>
+      ${again}
       <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/result.json`} download>result.json</a>
       <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/ranking.csv`} download>ranking.csv</a>
     </div>

@@ -45,6 +45,18 @@ def braking_on_carla(config: ScenarioConfig, address: str) -> CarlaBraking:
     return CarlaBraking(config, Stage(connected(*read_address(address)), config, where=where))
 
 
+def check_installed() -> None:
+    """Refuse CARLA where its client is not there.
+
+    Raises:
+        ConfigError: Says how to install it.
+    """
+    if find_spec("carla") is None:
+        install = "pip install 'pemviz[carla]'"
+        message = f"simulator = 'carla': needs CARLA's client; install it with {install}"
+        raise ConfigError(message)
+
+
 def connected(host: str, port: int, *, connect_s: float = CONNECT_S) -> "carla.Client":
     """The client of a server that answers within ``connect_s``.
 
@@ -54,10 +66,7 @@ def connected(host: str, port: int, *, connect_s: float = CONNECT_S) -> "carla.C
         ConfigError: The client is not installed; nothing listens there, what does is no CARLA
             server, or one of another version.
     """
-    if find_spec("carla") is None:
-        install = "pip install 'pemviz[carla]'"
-        message = f"simulator = 'carla': needs CARLA's client; install it with {install}"
-        raise ConfigError(message)
+    check_installed()
     where = f"carla = '{host}:{port}'"
     try:
         socket.create_connection((host, port), timeout=connect_s).close()
