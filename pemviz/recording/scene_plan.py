@@ -26,8 +26,8 @@ Strip = tuple[FloatArray, Rgba, float]
 CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]) / 2
 ANGLES = np.linspace(0.0, 2 * np.pi, 33)
 CROSS = ([0, 2], [1, 3])
-VERGE_M = 4.0
-"""Above and below the road; words stand there."""
+VERGE_M, ASIDE_M = 4.0, 1.2
+"""Above and below the road, where words stand; below it a car may come from beside."""
 LETTER_M, AROUND_M = 0.75, 3.0
 """About how wide a letter is in the view as it opens, and what is left free around words."""
 LAPS = 8
@@ -41,7 +41,7 @@ ASPHALT: Rgba = (40, 40, 44, 255)
 def plan_bounds(road: Road) -> Bounds:
     """What a view shows, from left to right and from top to bottom."""
     width_m = road.lane_edges_m[-1] - road.lane_edges_m[0]
-    return (-BEHIND_M - 1.0, AHEAD_M + 1.0), (-0.5, width_m + 2 * VERGE_M)
+    return (-BEHIND_M - 1.0, AHEAD_M + 1.0), (-0.5, width_m + 2 * VERGE_M + ASIDE_M)
 
 
 def log_scene_plan(one: OnRoad) -> None:
@@ -189,7 +189,7 @@ class _Words:
 
 def _log_words(one: OnRoad) -> None:
     """Above the road which rollout, or how it ended; below it every car and what is said of it."""
-    below_m = float(_down(one, np.array(one.drawn.road.lane_edges_m[0])))
+    below_m = float(_down(one, np.array(one.drawn.road.lane_edges_m[0]))) + ASIDE_M
     rows = [
         [
             _Words(title, -BEHIND_M + 13.0, WORDS),

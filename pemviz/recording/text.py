@@ -58,7 +58,8 @@ def strip_text(result: RunResult, *, running: bool) -> str:
     found = answers(result)
     if not found:
         (section,) = run_document(result, running=running).choose(("answer",))
-        return "\n\n".join(blocks_markdown(section.full, level=4, marks=PLAIN_MARKS))
+        said = blocks_markdown(section.full[1:], level=1, marks=PLAIN_MARKS)
+        return "\n\n".join([f"**{markdown_text(section.title)}**", *said])
     first = found[0]
     (headline,) = [one for one in headline_blocks(result) if isinstance(one, Headline)]
     likely = f"**{markdown_text(headline.text)}**, {markdown_text(headline.given)}"
