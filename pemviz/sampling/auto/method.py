@@ -239,7 +239,9 @@ class AutoSampling:
         """Before the last stage: as many rollouts more as the answer so far asks for."""
         found = method.preview(inner)
         drawn, left, least = self._counts(state, method, inner)
-        if self._is_far(found):
+        # many features take more rollouts to learn than a first answer shows
+        barely_learned = inner.many_features and method.rollouts == self.mixture.rollouts
+        if barely_learned or self._is_far(found):
             longer = self._longer(method, left=left, least=least)
             if longer is not None:
                 return longer

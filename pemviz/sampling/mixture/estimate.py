@@ -15,6 +15,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
 from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
+    MANY_FEATURES_ADAPTATION,
     SEARCHED_ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
     importance_sampling_estimate,
@@ -40,11 +41,14 @@ LogEstimate = tuple[float, float]
 """Log of an estimate and of its standard error."""
 
 
-def adaptation(*, turns: int, starts: int, searched: bool) -> float:
+def adaptation(*, turns: int, starts: int, searched: bool, many: bool) -> float:
     """The factor on the standard error, by outcomes of a step and latents at the start.
 
-    ``searched`` is whether chains have searched the latents.
+    ``searched`` is whether chains have searched the latents, ``many`` whether proposals look at
+    many features and rollouts all start alike.
     """
+    if many:
+        return MANY_FEATURES_ADAPTATION
     if turns > 1 and starts > 1:
         return SLOTS_AND_STARTS_ADAPTATION
     return SEARCHED_ADAPTATION if searched else ADAPTATION

@@ -12,6 +12,7 @@ from typing import cast
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.defensive import LARGEST_SHARE
@@ -68,8 +69,11 @@ HARDLY_SAMPLED = 3.0
 do."""
 EVEN_SHARE = 0.9
 """Of the violating rollouts, which they count as where failure modes are told apart."""
-WIDE_SHARE = 0.25
+WIDE_SHARE = 0.5
 """Of a main proposal's rollouts, sampled with a larger share of the error model."""
+WIDE_STEPS, WIDEST = 2.0, 0.3
+"""Of the steps at which a proposal leaves the error model, how many a wide one takes from it after
+all; its share of the error model at most."""
 HIDDEN_LEAST_SCATTER, HIDDEN_PRICE = 2.0, 0.3
 KNOWN_ESS = 10.0
 """A failure mode is explored until its weights have this effective sample size."""
@@ -108,6 +112,8 @@ class Fit:
         means: How it moves latents, where there are any.
         rule: Which it is to break.
         defensive: As :class:`FittedMoves` has it.
+        departure: How far its probabilities of a miss are from the error model's, summed over the
+            steps of a rollout that it learned from, on average.
     """
 
     coefficients: FloatArray
@@ -119,6 +125,7 @@ class Fit:
     means: LatentMeans | None = None
     rule: Rule = None
     defensive: float | None = None
+    departure: float = 0.0
 
     @property
     def moves(self) -> FittedMoves:
@@ -173,7 +180,8 @@ def next_proposals(
         for one in met
         for fit in fits_to_failures(one, basis, settings)
     ]
-    if basis.mean.size > FEW_FEATURES and defensive < LARGEST_SHARE:
+    many = has_many_features(basis, defensive=defensive)
+    if many:
         main = [one for fit in main for one in _with_wide(fit)]
     least_share = 0.0 if explores else RELEVANT_SHARE
     hidden = [
@@ -190,12 +198,22 @@ def next_proposals(
     if explores:
         towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
     blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
+    if many:
+        hidden, towards = [_wide(fit) for fit in hidden], [_wide(fit) for fit in towards]
     exploring = [fits for fits in (hidden, blind, towards) if fits]
     rest = 1.0 - EXPLORING_SHARE * len(exploring)
     return (
         *(replace(fit, share=rest * fit.share) for fit in main),
         *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in exploring for f in fits),
     )
+
+
+def has_many_features(basis: PolynomialBasis, *, defensive: float) -> bool:
+    """Whether proposals look at more than they learn reliably, where rollouts are long.
+
+    In short ones the share of the error model, ``defensive``, is as large as any.
+    """
+    return basis.mean.size > FEW_FEATURES and defensive < LARGEST_SHARE
 
 
 def fits_to_failures(
@@ -247,14 +265,24 @@ def _with_wide(fit: Fit) -> Sequence[Fit]:
     """The proposal, and in part of its rollouts the same with a larger share of the error model.
 
     Chains of errors are learned from those that were met, and where these missed at every step of
-    a stretch, chains with a detection among the misses are sampled too seldom for their share of
-    the probability: each such outcome makes a weight up to 1 / d times as large. With few features
-    there are few coefficients, and enough rollouts for them.
+    a stretch, chains with a detection among the misses, or after the last that matters, are sampled
+    too seldom for their share of the probability: each such outcome makes a weight up to 1 / d
+    times as large. With few features there are few coefficients, and enough rollouts for them.
     """
+    wide = _wide(fit)
     return (
         replace(fit, share=(1.0 - WIDE_SHARE) * fit.share),
-        replace(fit, share=WIDE_SHARE * fit.share, defensive=LARGEST_SHARE),
+        replace(wide, share=WIDE_SHARE * fit.share),
     )
+
+
+def _wide(fit: Fit) -> Fit:
+    """The proposal with a share of the error model that is the larger, the fewer steps it moves.
+
+    Over few steps a large one hardly makes failures rarer.
+    """
+    share = min(WIDE_STEPS / max(fit.departure, 1.0), WIDEST)
+    return replace(fit, defensive=max(share, LARGEST_SHARE))
 
 
 def _fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
@@ -389,6 +417,7 @@ def fitted(
         share = weight / (weight.sum() + LEVERAGE_RIDGE)
         beyond_first_order = (1.0 - 0.5 * share) / (1.0 - share) ** 2
         optimism = optimism + of_start + first_order * beyond_first_order
+    departs = np.abs(found.miss - expit(outcomes.offset))
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,
@@ -397,6 +426,7 @@ def fitted(
         elites=elites.count,
         loss=found.loss,
         rule=pool.rule,
+        departure=float(outcomes.weight @ departs) / float(weight.sum()),
     )
 
 

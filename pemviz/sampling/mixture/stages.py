@@ -36,7 +36,7 @@ from pemviz.proposals.exploration import (
 from pemviz.proposals.latent_moves import LatentMeans, StartMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
-from pemviz.sampling.mixture.fit import Fit
+from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
@@ -257,6 +257,14 @@ class MixtureState:
     steps: int = 0
     explored: Explored | None = None
     explored_fits: tuple[Fit, ...] = ()
+
+    @property
+    def many_features(self) -> bool:
+        """Whether proposals look at many features, and rollouts all start alike."""
+        basis = self.basis
+        if basis is None or self.starts:
+            return False
+        return has_many_features(basis, defensive=defence(self.steps))
 
     @property
     def final(self) -> slice:
