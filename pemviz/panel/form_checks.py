@@ -16,11 +16,12 @@ from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO, start_values
 from pemviz.config.settings import SumoConfig
 from pemviz.errors import PemvizError
-from pemviz.panel.form_fields import BUDGET, RULE, START, typed_values
+from pemviz.panel.form_fields import BUDGET, RULE, START, method_of, typed_values
 from pemviz.pem import load_pem, load_position_errors, shipped_pems
 from pemviz.runs.back_ends import SLOW_BATCH_ROLLOUTS, build_back_end
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.specification import build_formula
+from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.folding import declared_signals
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.simulate import replay
@@ -84,7 +85,7 @@ def complaints(config: ExperimentConfig) -> Placed:
             return False
         return True
 
-    fits = check(config.validate)
+    fits = check(config.validate) and check(lambda: by_name(config.method))
     if config.pem.strip() and config.pem not in shipped_pems():
         check(lambda: load_pem(config.pem), key="pem")
     if config.position_errors is not None:
@@ -176,7 +177,9 @@ def cost_notes(
         folder: Where it would be kept.
         measure: Whether to find out how long a rollout takes, where that is not known.
     """
-    method = by_name(config.method)
+    method = method_of(config)
+    if method is None:
+        return {}
     most = method.budget(config).rollouts if method.most is None else method.most(config)
     rollouts = most * config.repetitions
     seconds = math.nan
@@ -192,12 +195,11 @@ def cost_notes(
         free_gb = shutil.disk_usage(there).free / 1e9
         room = f"about {kept / 1e9:,.0f} GB of memory and disk, of which {free_gb:,.0f} GB are free"
         parts.append(f"{room}, unless only violations are kept (Rollouts kept)")
-    return {_largest(config, changed): f"{words} {' and '.join(parts)}."}
+    return {_largest(config, method, changed): f"{words} {' and '.join(parts)}."}
 
 
-def _largest(config: ExperimentConfig, changed: Collection[str]) -> str:
+def _largest(config: ExperimentConfig, method: MethodDescription, changed: Collection[str]) -> str:
     """The field that made a run large."""
-    method = by_name(config.method)
     candidates = [n for n in ("repetitions", "max_rollouts", *BUDGET) if n in changed]
     if candidates:
         return max(candidates, key=lambda name: getattr(config, name) or 0)

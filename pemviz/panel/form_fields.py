@@ -18,6 +18,7 @@ from pemviz.config.topics import topic_of
 from pemviz.config.typed_text import read_typed, typed_text
 from pemviz.errors import ConfigError
 from pemviz.pem import shipped_pems, shipped_position_errors
+from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.registry import by_name, ignored_settings
 from pemviz.simulators.registry import SIMULATORS
 
@@ -100,6 +101,12 @@ def form_fields() -> tuple[FormField, ...]:
     return (*(found[key] for key in MAIN), *(f for f in found.values() if not f.main))
 
 
+@cache
+def labels() -> Mapping[str, str]:
+    """What the fields are called, by key, in their order."""
+    return {field.key: field.label for field in form_fields()}
+
+
 def typed_values(config: ExperimentConfig) -> dict[str, str]:
     """What stands in the fields for a configuration, by key."""
     table = asdict(config)
@@ -173,7 +180,16 @@ def unused(config: ExperimentConfig) -> frozenset[str]:
 
 def beside(config: ExperimentConfig) -> tuple[str, ...]:
     """The main fields that belong to the others with the method chosen."""
-    return BUDGET if by_name(config.method).most is not None else ()
+    method = method_of(config)
+    return BUDGET if method is not None and method.most is not None else ()
+
+
+def method_of(config: ExperimentConfig) -> MethodDescription | None:
+    """The method; ``None`` where it cannot be had, as of a run of a package that is gone."""
+    try:
+        return by_name(config.method)
+    except ConfigError:
+        return None
 
 
 def _declared() -> Iterator[tuple[str, Any, str]]:

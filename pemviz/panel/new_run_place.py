@@ -35,6 +35,7 @@ from pemviz.panel.form_fields import (
     beside,
     config_of,
     form_fields,
+    labels,
     typed_values,
     unused,
 )
@@ -56,7 +57,6 @@ GROUPS = {
 }
 """Headings of what is advanced, in this order."""
 BUSY = "another run is under way: stop it first"
-BEGINS_S = 60.0
 LOOK_S = 0.02
 
 
@@ -153,23 +153,21 @@ class NewRunPlace:
         before = _name(controller.state.run)
         if not controller.start(config):
             return {"wrong": {"": BUSY}}
-        until_s = time.monotonic() + BEGINS_S
-        while (state := controller.state).running and time.monotonic() < until_s:
-            if _name(state.run) != before:
-                break
+        while (state := controller.state).running and _name(state.run) == before:
             time.sleep(LOOK_S)
         if _name(state.run) != before:
             return {"run": _name(state.run)}
         if state.error is not None:
             return {"wrong": dict([placed(InputError(state.error))])}
-        return {"wrong": {"": "it was stopped before it began" if not state.running else ""}}
+        return {"wrong": {"": "it was stopped before it began"}}
 
     def _base(self, asked: Arguments) -> Base:
         name = asked.text("run", "")
         if not name:
             preset = asked.text("preset", "") or FIRST_PRESET
+            config = load_preset(preset)  # says of what there is not what there is
             options = () if preset == FIRST_PRESET else ("--preset", preset)
-            return Base(preset, preset_words(preset), load_preset(preset), options)
+            return Base(preset, preset_words(preset), config, options)
         run = self._find(name)
         folder = run.folder or Path(name)
         options = ("--config", str(folder / "config.toml"))
@@ -203,11 +201,10 @@ def _differences(
     before = typed_values(base)
     after = {**typed_values(config), **typed}
     return [
-        {"key": field.key, "label": field.label, "before": before[field.key],
-         "after": after[field.key]}
-        for field in form_fields()
-        if before[field.key] != after[field.key]
-    ]  # fmt: skip
+        {"key": key, "label": label, "before": before[key], "after": after[key]}
+        for key, label in labels().items()
+        if before[key] != after[key]
+    ]
 
 
 def _ignored(config: ExperimentConfig, changes: Sequence[Mapping[str, str]]) -> Placed:

@@ -4,7 +4,7 @@ import importlib
 import shlex
 import sys
 from contextlib import closing
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
@@ -190,7 +190,9 @@ def test_what_a_page_of_others_sends_is_refused(place):
     for values in ({"no-such": "1"}, {"seed": 1}, {"seed": None}):
         with pytest.raises(InputError):
             check(place, values)
-    for begin in ({"preset": "papr"}, {"run": "../x"}, {"run": "none"}):
+    with pytest.raises(InputError, match="did you mean paper"):
+        ask(place, "form", preset="papr")
+    for begin in ({"run": "../x"}, {"run": "none"}):
         with pytest.raises(InputError):
             ask(place, "form", **begin)
 
@@ -293,6 +295,20 @@ def test_a_system_that_registered_itself_can_be_chosen_with_its_own_signals(plac
     state = wait_until(hub.controller)
     assert state.error is None
     assert state.run.config.simulator == "faster"
+
+
+def test_a_run_of_what_is_gone_can_still_be_begun_with(hub, live_run):
+    config = replace(live_run.config, method="gone", simulator="gone-too", pem="gone.safetensors")
+    run = replace(live_run, result=replace(live_run.result, config=config))
+    place = NewRunPlace(hub, lambda name: run)
+    assert ask(place, "form", run="x")["values"]["method"] == "gone"
+    found = ask(place, "check", run="x", values={}, whole=True)
+    assert found["wrong"]["method"].startswith("no such method")
+    assert found["wrong"]["pem"] == "gone.safetensors: no such file"
+    mended = {"method": "auto", "pem": "ml-nn"}
+    found = ask(place, "check", run="x", values=mended, whole=True)
+    assert found["wrong"]["simulator"].startswith("no such simulator")
+    assert found["understood"] == ""
 
 
 def test_one_run_at_a_time(place, hub, monkeypatch):

@@ -1,7 +1,7 @@
 // The form for a new run: what is typed stands in the address, and what is wrong at its field.
 import { html, useEffect, useMemo, useRef, useState } from "/vendor/htm-preact.js";
 import * as address from "/address.js";
-import { ask } from "/talk.js";
+import { ask, AWAY } from "/talk.js";
 
 const PAUSE_MS = 150;
 const AGAIN_MS = 1000;
@@ -45,6 +45,7 @@ export function NewRun({ at, state, tell }) {
 
   useEffect(() => {
     let over = false;
+    tell("");
     setForm(null);
     setCheck(NOTHING);
     built.current = { wrong: {}, values: {} };
@@ -82,8 +83,9 @@ export function NewRun({ at, state, tell }) {
         const found = await whole;
         built.current = { wrong: found.wrong, values };
         if (isNewest()) setCheck(found);
-      } catch {  // the server is away, which the head says
-        setTimeout(look, AGAIN_MS);
+      } catch (error) {  // the head says where the server is away
+        if (error.message === AWAY) setTimeout(look, AGAIN_MS);
+        else tell(error.message);
       }
     };
     const timer = setTimeout(look, check === NOTHING ? 0 : PAUSE_MS);

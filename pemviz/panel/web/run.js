@@ -181,13 +181,12 @@ function Strip({ run, set }) {
   if (!summary.headline) return html`<section class="strip"><div class="facts">${run.name}: ${summary.sampling} <span class="grow"></span>${again}</div></section>`;
   const doubts = summary.warnings.length;
   return html`<section class="strip" aria-label="Answer">
-    <div class="answer">${summary.headline}</div>
+    <div class="bar top"><span class="answer">${summary.headline}</span>${again}</div>
     <div class="facts">${summary.act_on && html`<b>To act on: ${summary.act_on}</b>`}
       ${summary.decided_by && html`<span class="tag">decided by ${summary.decided_by}</span>`}
       <span class=${summary.sampling_holds ? "yes" : "no"}>${summary.sampling_holds ? "\u2713 sampling ok" : "\u2717 sampling does not hold"}</span>
       ${doubts > 0 && html`<button class="link" aria-expanded=${open} onClick=${() => setOpen(!open)}>${doubts} warning${doubts > 1 ? "s" : ""} ${open ? "\u25b4" : "\u25be"}</button>`}
       <span class="grow"></span><span class="quiet">${run.name}, ${summary.method}, ${run.simulated.toLocaleString("en")} rollouts</span>
-      ${again}
       <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/result.json`} download>result.json</a>
       <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/ranking.csv`} download>ranking.csv</a>
     </div>

@@ -1,5 +1,6 @@
 // What the page says to the server and hears of it; it goes on by itself when the server is back.
 
+export const AWAY = "The server is not reached.";
 export const token = crypto.randomUUID();
 
 let socket = null;
@@ -25,7 +26,7 @@ function connect() {
     else found.resolve(message.answer);
   };
   socket.onclose = () => {
-    for (const { reject } of waiting.values()) reject(new Error("The server is not reached."));
+    for (const { reject } of waiting.values()) reject(new Error(AWAY));
     waiting.clear();
     tell({ connected: false });
     setTimeout(connect, 500);
