@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.main import main
-from pemviz.panel import compare_tab, headline, learning_tab, weights_tab, why_tab
+from pemviz.panel import compare_page, learning_page, weights_page, why_page
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import rank
 from pemviz.panel.run_data import RunData
-from pemviz.panel.trajectories_tab import ranking_table
+from pemviz.panel.run_summary import summary
 from pemviz.sampling.registry import SHIPPED
 from tests.recording.read_back import read_stages
 
@@ -100,23 +100,23 @@ def test_a_recording_holds_every_stage(method, shown):
 @EVERY
 def test_every_page_of_the_panel_fits_the_method(method, shown):
     run = shown(method.name).loaded
-    learned, explained = learning_tab.learning(run), why_tab.why(run)
-    ranked = ranking_table(run, rank(run, "classical"), selected=0, target="x")
+    learned, explained = learning_page.learning(run), why_page.why(run)
+    assert rank(run, "classical").order.size == run.kept
     for page in (
-        headline.headline(run), learned, explained, ranked,
-        compare_tab.metrics_page(run), compare_tab.runs_page([run, run]),
-        weights_tab.weights_page(run, target="x", selected=0), learning_tab.learning_words(run),
+        learned, explained,
+        compare_page.metrics_page(run), compare_page.runs_page([run, run]),
+        weights_page.weights_page(run, target="x"),
     ):  # fmt: skip
         ET.fromstring(f"<all>{page.replace('<br>', '<br/>')}</all>")  # noqa: S314  our own
-    assert method.name in headline.headline(run)
+    assert summary(run.result)["method"] == method.name
     assert ("Threshold" in learned) == (method.stages == "learning")
     assert ("a run alone" in learned) == (method.stages == "runs")
     assert ("a stage alone" in learned) == (method.stages == "learning")
-    names = [line.name for line in learning_tab.proposal_curves(run).lines]
+    names = [line.name for line in learning_page.proposal_curves(run).lines]
     assert any(name.startswith("proposal after stage") for name in names) == (
         not method.follows_model and method.curve_name is None
     )
-    assert method.learning_words.split(".")[0] in learning_tab.learning_words(run)
+    assert method.learning_words.split(".")[0] in learned
     violated = run.result.estimate.failures > 0
     assert ("Pareto k-hat" in explained) == (method.rests_on_weights and violated)
     assert ("carry no weights" in explained) == (not method.has_likelihood_ratios)

@@ -66,8 +66,8 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
 
     share_arenas()
     from pemviz.panel.app import App, show_something  # noqa: PLC0415  viser is slow to import
-    from pemviz.panel.browser import Hub  # noqa: PLC0415
     from pemviz.panel.controller import Controller  # noqa: PLC0415
+    from pemviz.panel.hub import Hub  # noqa: PLC0415
     from pemviz.panel.recordings_folder import RecordingsFolder, Viewers  # noqa: PLC0415
     from pemviz.panel.server import is_loopback  # noqa: PLC0415
 

@@ -1,24 +1,18 @@
-"""Lines over one axis, in a chart whose values are read off with the pointer (uPlot in viser)."""
+"""Lines over one axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from viser import GuiUplotHandle, uplot
 
 from pemviz.arrays import FloatArray
 from pemviz.charts.svg import Axis, Plot
-from pemviz.panel.browser import Browser
 from pemviz.panel.run_data import RunData
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.types import Signal
 
 RUN_DASHES = ((), (6, 3), (2, 3), (9, 3, 2, 3), (12, 4), (4, 4))
 """Of runs side by side, beside their colours: as many as can be told apart."""
-HEIGHT_PX = 250
-PADDING_PX = (10, 14, 0, 0)
-INK, GRID = "#1f2933", "#e4e7eb"
-FONT = "11px system-ui, sans-serif"
 LEGEND_ROW_PX = 13
 
 
@@ -73,7 +67,7 @@ def over_time(run: RunData, title: str, lines: Sequence[Line], *, touch_color: s
 
 
 def curves_svg(curves: Curves, *, width: int = 420, height: int = 240) -> str:
-    """The same curves as a picture, with a legend beneath."""
+    """Curves as a picture, with a legend beneath."""
     finite = [line.values[np.isfinite(line.values)] for line in curves.lines]
     known = np.concatenate([*finite, np.zeros(1)]) if curves.y_range is None else np.zeros(1)
     low, high = curves.y_range or (float(known.min()), float(known.max()))
@@ -94,65 +88,3 @@ def curves_svg(curves: Curves, *, width: int = 420, height: int = 240) -> str:
         entries.append((line.name, line.color, dash))
     plot.legend(entries, x=plot.left, y=plot.bottom + 44)
     return plot.text()
-
-
-class Chart:
-    """A place in a tab where curves are shown; empty while there are none."""
-
-    def __init__(self, browser: Browser) -> None:
-        self._gui = browser.client.gui
-        self._place = self._gui.add_folder(None)
-        self._drawn: GuiUplotHandle | None = None
-        self._shown: Curves | None = None
-
-    def show(self, curves: Curves | None) -> None:
-        """Show other curves; what was enlarged stays so where the same lines get new values."""
-        before, self._shown = self._shown, curves
-        if curves is before:
-            return
-        if self._drawn is not None:
-            if curves is not None and before is not None and _frame(before) == _frame(curves):
-                self._drawn.data = _data(curves)
-                return
-            self._drawn.remove()
-            self._drawn = None
-        if curves is not None:
-            self._drawn = self._draw(curves)
-
-    def _draw(self, curves: Curves) -> GuiUplotHandle:
-        scales: dict[str, uplot.Scale] = {"x": {"time": False}}
-        if curves.y_range is not None:
-            scales["y"] = {"range": curves.y_range}
-        lines = (
-            uplot.Series(label=line.name, stroke=line.color, width=line.width, dash=line.dash,
-                         points={"show": False})
-            for line in curves.lines
-        )  # fmt: skip
-        axes = tuple(
-            uplot.Axis(
-                label=label, labelFont=FONT, font=FONT, labelSize=18, labelGap=2, size=size,
-                stroke=INK, grid={"stroke": GRID, "width": 1},
-                ticks={"stroke": GRID, "width": 1, "size": 4},
-            )
-            for label, size in ((curves.x_label, 34), (curves.y_label, 44))
-        )  # fmt: skip
-        with self._place:
-            return self._gui.add_uplot(
-                data=_data(curves),
-                series=(uplot.Series(label=curves.x_label), *lines),
-                title=curves.title,
-                scales=scales,
-                axes=axes,
-                height=HEIGHT_PX,
-                padding=PADDING_PX,
-            )
-
-
-def _frame(curves: Curves) -> tuple[object, ...]:
-    """All that stays where two charts differ in their values alone."""
-    lines = tuple((line.name, line.color, line.width, line.dash) for line in curves.lines)
-    return (curves.title, curves.x_label, curves.y_label, curves.y_range, lines)
-
-
-def _data(curves: Curves) -> tuple[FloatArray, ...]:
-    return (curves.x, *(np.asarray(line.values, dtype=np.float64) for line in curves.lines))

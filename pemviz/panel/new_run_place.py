@@ -16,7 +16,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_preset, preset_names, preset_words, with_own_rules
 from pemviz.errors import InputError
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.browser import Hub
+from pemviz.panel.hub import Hub
 from pemviz.panel.form_checks import (
     Placed,
     complaints,

@@ -18,7 +18,7 @@ LOG = logging.getLogger(__name__)
 Place = tuple[float, float, float]
 VIEWS: dict[str, tuple[Place, Place]] = {
     "from behind": (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
-    "from above": ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
+    "from above": ((14.0, -0.5, 46.0), (14.0, 0.0, 0.0)),
 }
 """Where the camera stands, and what it looks at."""
 

@@ -1,4 +1,4 @@
-"""Memory that departed browsers used, given back to the system."""
+"""Memory that departed pages used, given back to the system."""
 
 import contextlib
 import ctypes

@@ -13,7 +13,7 @@ from pemviz.analysis.causes import carrying, contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config import MetricName
 from pemviz.panel.rollout_tables import by_stage, final_violations, in_stage, latent_names, verdicts
-from pemviz.panel.run_data import AT_ONCE, Report, RunData, Scan, ScanProgress, row_parts
+from pemviz.panel.run_data import Report, RunData, Scan, ScanProgress, row_parts
 from pemviz.runs.drawn_rollout import slots_of
 from pemviz.runs.specification import build_formula, build_metric, may_leave_bounds
 from pemviz.sampling.method import elite_threshold
@@ -111,12 +111,6 @@ def scoring(run: RunData, metric: MetricName, *, rule: str | None = None) -> Sca
     It returns at once: scores of a large run are computed on a thread of their own.
     """
     return run.scans.begin(*_scoring(run, metric, rule), count=run.kept)
-
-
-def is_scored(run: RunData, metric: MetricName) -> bool:
-    """Whether a ranking by a metric can be shown without a wait."""
-    key, _ = _scoring(run, metric, None)
-    return metric == run.config.metric or run.kept <= AT_ONCE or run.scans.known(key)
 
 
 def _scoring(run: RunData, metric: MetricName, rule: str | None) -> tuple[object, Scan[FloatArray]]:

@@ -4,23 +4,21 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pemviz.config import MethodName, MetricName
 from pemviz.errors import InputError
 from pemviz.files.atomic import write_text
 from pemviz.panel.run_summary import summary
 from pemviz.runs.reading import read_whole_run
-from pemviz.runs.result import RunResult, RunStatus
 from pemviz.runs.result_file import RESULT_FILE, has_result
 from pemviz.runs.run_folder import run_lock
-from pemviz.runs.uncertainty import run_interval_caveats
 
 FileName = Literal["run.rrd", "result.json", "rollouts.npz", "config.toml"]
 LARGEST_DOWNLOAD_BYTES = 512 * 1024 * 1024
 LISTED_BYTES = 16_000_000
+"""A listed run's result is held to files up to this size; to larger ones when it is opened."""
 NOTES_FILE = "notes.txt"
 MOST_NOTED = 20_000
 """Characters of a run's notes."""
@@ -31,20 +29,13 @@ class RunEntry:
     """A line of the list of runs.
 
     Attributes:
-        unreliable: Why the estimate must not decide anything; empty if nothing speaks against it.
         summary: Its line in the table of runs, see :mod:`pemviz.panel.run_summary`.
     """
 
     name: str
-    status: RunStatus
-    method: MethodName
-    metric: MetricName
-    seed: int
-    probability: float | None
-    unreliable: tuple[str, ...]
     has_recording: bool
+    summary: Mapping[str, Any]
     notes: str = ""
-    summary: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 class RecordingsFolder:
@@ -178,22 +169,6 @@ class RecordingsFolder:
             raise InputError(message)
         return self.root / f".{name}.deleted"
 
-    def delete(self, name: str) -> None:
-        """Delete a run's folder for good.
-
-        Raises:
-            InputError: There is no such run, somebody is at work in it, or it cannot be deleted.
-        """
-        folder = self.folder(name)
-        removed = folder.with_name(f".{name}.removed")
-        try:
-            with run_lock(folder):
-                folder.rename(removed)  # gone at once: a kill in between leaves no half of a run
-            shutil.rmtree(removed)
-        except OSError as error:
-            message = f"run {name}: cannot be deleted ({error.strerror or error})"
-            raise InputError(message) from error
-
     def _entry(self, name: str) -> RunEntry | str:
         """The run's line, or what is wrong with it."""
         folder = self.root / name
@@ -205,32 +180,17 @@ class RecordingsFolder:
         if cached is not None and cached[0] == changed_s:
             return cached[1]
         try:
-            result = read_listed(folder)
+            result = read_whole_run(folder, most_bytes=LISTED_BYTES)
         except InputError as error:
             entry = str(error)
         else:
             entry = RunEntry(
                 name=name,
-                status=result.status,
-                method=result.config.method,
-                metric=result.config.metric,
-                seed=result.config.seed,
-                probability=None if result.estimate is None else result.estimate.probability,
-                unreliable=run_interval_caveats(result),
                 has_recording=(folder / "run.rrd").is_file(),
                 summary=summary(result),
             )
         self._entries[name] = (changed_s, entry)
         return entry
-
-
-def read_listed(folder: Path) -> RunResult:
-    """A run's result, held to its small files; what is large is looked at when it is opened.
-
-    Raises:
-        InputError: Something is damaged, or does not agree.
-    """
-    return read_whole_run(folder, most_bytes=LISTED_BYTES)
 
 
 class Viewers:

@@ -83,11 +83,11 @@ class Scans:
             ).start()
         return None if begun.done() else ScanProgress(self._done.get(key, 0), count)
 
-    def known(self, key: object) -> bool:
-        """Whether a scan has come to its end."""
+    @property
+    def under_way(self) -> bool:
+        """Whether a scan that was begun has not come to its end."""
         with self._lock:
-            found = self._results.get(key)
-        return found is not None and found.done()
+            return not all(found.done() for found in self._results.values())
 
     def _begun(self, key: object) -> tuple[Future[Any], bool]:
         """The scan's result to come, and whether it is the caller who carries it out."""

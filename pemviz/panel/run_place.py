@@ -1,6 +1,5 @@
 """What the page of a run asks for: its answer, its ranked rollouts, a rollout, pages beside it."""
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,16 +9,19 @@ import numpy as np
 from pemviz.arrays import BoolArray
 from pemviz.charts.svg import Plot
 from pemviz.config import MetricName
-from pemviz.panel import compare_tab, learning_tab, weights_tab, why_tab
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.curve_chart import Curves, curves_svg
+from pemviz.panel.compare_page import MOST_RUNS, metrics_page, runs_page
+from pemviz.panel.learning_page import learning
 from pemviz.panel.page_scene import VIEWS
 from pemviz.panel.ranking import METRIC_NAMES, RankedRow, Ranking, rank, row, scoring
-from pemviz.panel.rollout_player import Track, step_words, track, track_axes, track_plots
+from pemviz.panel.rollout_charts import Track, step_words, track, track_axes, track_plots
+from pemviz.panel.rollout_details import ALL_RULES, details, opens_on
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
+from pemviz.panel.scene import scene_html
 from pemviz.panel.site import Page, Request
-from pemviz.panel.trajectories_tab import details, opens_on
+from pemviz.panel.weights_page import weights_page
+from pemviz.panel.why_page import why
 from pemviz.reports.causes_words import shown_chains
 from pemviz.reports.html import sections_html
 from pemviz.reports.run_document import run_document
@@ -28,7 +30,6 @@ from pemviz.runs.drawn_rollout import RIGHT, WRONG
 
 MOST_ROWS = 200
 """Of a ranking, in one answer."""
-ALL_RULES = "all rules"
 AMONG, FIRST = ("carrying", "all"), ("share", "least robust")
 DOCUMENTS: Mapping[str, tuple[str, ...]] = {
     "uncertainty": ("answer", "rules", "uncertainty", "memory", "warnings", "models"),
@@ -36,26 +37,20 @@ DOCUMENTS: Mapping[str, tuple[str, ...]] = {
     "record": ("question", "provenance", "assumptions", "configuration"),
 }
 """Pages that are sections of the run's document, by name."""
+SCENE_WORDS = (
+    "A ball over a car says what perception reports of it: small and blue detected, large and "
+    "orange missed, grey nothing to report. Beside the road stands a row for each obstacle, flat "
+    "blue marks where the ego detected it, upright crosses where it erred. White lines: where "
+    "the controller tracks a car, with an ellipse of two standard deviations where it knows any. "
+    "From contact on the cars are grey."
+)
 POINTS, CHAIN, START = "point", "chain", "start"
 """What can be clicked on a page: a rollout's point, a chain of misses, a violation's start."""
-MOST_COMPARED = 6
-_ACTS = re.compile(" onclick='[^']*'")
-
-
-def _with_curves(curves: Curves | None, more: str) -> str:
-    return ("" if curves is None else curves_svg(curves)) + more
-
-
 DRAWN: Mapping[str, Callable[[RunData], str]] = {
-    "learning": lambda run: _with_curves(
-        learning_tab.proposal_curves(run),
-        learning_tab.learning_words(run) + learning_tab.learning(run),
-    ),
-    "weights": lambda run: (
-        weights_tab.weights_page(run, target=POINTS, selected=None)
-        + _with_curves(weights_tab.heaviest_curves(run), "")
-    ),
-    "why": lambda run: why_tab.why(run, targets={CHAIN: CHAIN, START: START}),
+    "learning": learning,
+    "weights": lambda run: weights_page(run, target=POINTS),
+    "why": lambda run: why(run, targets={CHAIN: CHAIN, START: START}),
+    "metrics": metrics_page,
 }
 
 
@@ -83,6 +78,7 @@ class RunPlace:
             "open": self._open,
             "ranking": self._ranking,
             "rollout": self._rollout,
+            "scene_page": self._scene_page,
             "step": self._step,
             "look": self._look,
             "page": self._page,
@@ -105,6 +101,7 @@ class RunPlace:
             "kept": run.kept,
             "simulated": run.simulated,
             "running": run.running,
+            "scene_words": SCENE_WORDS,
         }
 
     def _ranking(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
@@ -126,20 +123,17 @@ class RunPlace:
         }
 
     def _rollout(self, page: Page, asked: Arguments) -> Any:
-        """A rollout by its rank, or by its index in the run's tables; the scene shows it."""
+        """A rollout by its rank; the scene shows it."""
         run = self._find(asked.text("run"))
-        ranking = _ranked(run, _choice(run, asked))
-        count = int(ranking.order.size)
-        if not count:
+        entry = _entry(run, asked)
+        if entry is None:
             return None
-        place = min(asked.whole("rank", 1, 100_000_000, 1), count) - 1
-        entry = row(run, ranking, place)
         chosen = track(run, entry)
         step = asked.whole("step", -1, 10_000_000, -1)
         step = chosen.interesting_step if step < 0 else min(step, chosen.drawn.count - 1)
         page.scene.show(chosen.drawn, step=step)
         return {
-            "rank": place + 1,
+            "rank": entry.rank,
             "step": step,
             "row": _row(run, entry),
             "title": chosen.title,
@@ -152,6 +146,12 @@ class RunPlace:
             "details": details(run, entry, contact=chosen.drawn.contact_words),
         }
 
+    def _scene_page(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """The scene of a rollout as an HTML page that plays without a server."""
+        run = self._find(asked.text("run"))
+        entry = _entry(run, asked)
+        return None if entry is None else scene_html(track(run, entry).drawn)
+
     def _step(self, page: Page, asked: Arguments) -> Any:
         page.scene.at(asked.whole("step", 0, 10_000_000), follow=asked.flag("follow", True))
         return True
@@ -163,13 +163,15 @@ class RunPlace:
         return True
 
     def _page(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
-        """A page beside the scene, as HTML."""
+        """A page beside the scene, as HTML, and whether more of it is being computed."""
         run = self._find(asked.text("run"))
         name = asked.choice("page", (*DOCUMENTS, *DRAWN))
         if name in DRAWN:
-            return _still(DRAWN[name](run))
-        document = run_document(run.result, running=run.running)
-        return sections_html(document.choose(DOCUMENTS[name]))
+            html = DRAWN[name](run)
+        else:
+            document = run_document(run.result, running=run.running)
+            html = sections_html(document.choose(DOCUMENTS[name]))
+        return {"html": html, "waits": run.scans.under_way}
 
     def _pick(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
         """Which rollout a click on a page means: its place among all, by the specification."""
@@ -185,13 +187,7 @@ class RunPlace:
 
     def _compare(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
         """Some runs beside each other, as HTML."""
-        runs = [self._find(name) for name in asked.texts("runs", MOST_COMPARED)]
-        return _still(_with_curves(compare_tab.run_curves(runs), compare_tab.runs_page(runs)))
-
-
-def _still(page: str) -> str:
-    """A page without what acts by itself: our own script hears of clicks."""
-    return _ACTS.sub("", page)
+        return runs_page([self._find(name) for name in asked.texts("runs", MOST_RUNS)])
 
 
 def _index(run: RunData, target: str, number: int) -> int | None:
@@ -237,6 +233,14 @@ def _ranked(run: RunData, choice: Choice) -> Ranking:
     )
 
 
+def _entry(run: RunData, asked: Arguments) -> RankedRow | None:
+    """The rollout of the rank asked for, the last one if there are fewer; ``None`` of none."""
+    ranking = _ranked(run, _choice(run, asked))
+    count = int(ranking.order.size)
+    rank = min(asked.whole("rank", 1, 100_000_000, 1), count)
+    return row(run, ranking, rank - 1) if count else None
+
+
 def _row(run: RunData, entry: RankedRow) -> Mapping[str, Any]:
     return {
         "rank": entry.rank,
@@ -271,7 +275,7 @@ def _timeline(chosen: Track) -> Mapping[str, Any]:
 def _charts(chosen: Track, *, width: int) -> list[Mapping[str, Any]]:
     """The charts that share the timeline, with where their time axes lie."""
     drawn = zip(track_plots(chosen, width=width), track_axes(chosen, width=width), strict=True)
-    return [{"svg": f"{svg}</svg>", **_span(plot)} for svg, plot in drawn]
+    return [{"svg": svg, **_span(plot)} for svg, plot in drawn]
 
 
 def _span(plot: Plot) -> Mapping[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.reports import estimate_words as estimates
 from pemviz.reports.document import Caution, Headline, Paragraph, headline_text
+from pemviz.reports.gate import decide_run
 from pemviz.reports.headline_words import ACT_ON, SHORT, headline_blocks, range_words
 from pemviz.reports.run_document import run_document
 from pemviz.runs.answers import answers
@@ -44,13 +45,22 @@ def _memory(result: RunResult) -> str:
     return f"memory {', '.join(words) or 'of its own'}"
 
 
+def _target_words(result: RunResult) -> str:
+    """Whether the upper bound is below the target, if there is one."""
+    target = result.config.target
+    if target is None:
+        return ""
+    return f"target {target:g}: {decide_run(result, limit=target).sentence}"
+
+
 def _answer(result: RunResult, *, running: bool) -> Mapping[str, Any]:
     document = run_document(result, running=running)
     doubts = [one.text for one in document.blocks("warnings") if isinstance(one, Caution)]
     if result.estimate is None:
         return {
             "rule": None, "probability": None, "low": None, "high": None, "act_on": "",
-            "decided_by": "", "sampling": "no estimate yet" if running else "no estimate",
+            "decided_by": "", "target": "",
+            "sampling": "no estimate yet" if running else "no estimate",
             "sampling_holds": False, "warnings": doubts, "headline": "", "beside": (),
         }  # fmt: skip
     first = answers(result)[0]
@@ -66,6 +76,7 @@ def _answer(result: RunResult, *, running: bool) -> Mapping[str, Any]:
         "sampling": f"{estimates.interval_text(first.estimate, caveats=first.caveats)}",
         "sampling_holds": not first.caveats,
         "warnings": doubts,
+        "target": "" if running else _target_words(result),
         "headline": headline_text(headline) if isinstance(headline, Headline) else "",
         "beside": [block.text for block in beside if isinstance(block, Paragraph)],
     }

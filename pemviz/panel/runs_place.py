@@ -7,7 +7,7 @@ from urllib.parse import unquote
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.browser import Hub
+from pemviz.panel.hub import Hub
 from pemviz.panel.ranking import rank, ranking_csv
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
@@ -32,6 +32,7 @@ class RunsPlace:
         """What a page may ask for, by name."""
         return {
             "runs": self._runs,
+            "verify": self._verify,
             "note": self._note,
             "delete": self._delete,
             "put_back": self._put_back,
@@ -94,6 +95,21 @@ class RunsPlace:
             rows.append({"name": sample.name, "note": "shipped with pemviz", "recording": False,
                 "kept": False, **line})  # fmt: skip
         return {"rows": rows, "damaged": folder.damaged(), "folder": str(folder.root)}
+
+    def _verify(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
+        """Hold a large run to all of its files, which takes some seconds.
+
+        Raises:
+            InputError: They contradict each other.
+        """
+        run = self.run(asked.text("run"))
+        wrong = None
+        if run.mapped and run.folder is not None:
+            wrong = self._hub.loaded.disagreement(run.folder)
+        if wrong is not None:
+            self._held.pop(run.name, None)
+            raise wrong
+        return True
 
     def _note(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
         self._hub.recordings.note(asked.text("run"), asked.text("text"))

@@ -47,19 +47,8 @@ SHEET = f"""
   background: {MISSED}; }}
 """
 
-# A click writes the number of a row, or of a point, into viser's own input, as typing it would;
-# placing the caret there would scroll the tab to it.
-CLICK = (
-    "(function(r,t){var i=document.getElementById(t);if(!i||!r)return;"
-    "var s=r,y;while(s&&!s.scrollTop)s=s.parentElement;y=s?s.scrollTop:0;"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(i,r.dataset.number);"
-    "i.dispatchEvent(new Event('input',{bubbles:true}));"
-    "function back(){i.blur();if(s)s.scrollTop=y;}setTimeout(back,0);setTimeout(back,60);})"
-    "(event.target.closest('[data-number]'),this.dataset.target)"
-)
-
 Targets = Mapping[str, str]
-"""Element ids of the inputs that clicks go to, by the names that blocks have for them."""
+"""What a page calls a click, by the names that blocks have for what is clicked."""
 
 
 def sections_html(
@@ -160,7 +149,7 @@ def table(block: doc.Table, targets: Targets | None = None) -> str:
 
 def clicks_to(target: str) -> str:
     """Attributes of what holds rows or points with a ``data-number`` each."""
-    return f"data-target='{escape(target, quote=True)}' onclick='{escape(CLICK, quote=True)}'"
+    return f"data-target='{escape(target, quote=True)}'"
 
 
 def _number(block: doc.Table, place: int) -> str:

@@ -1,13 +1,14 @@
-"""A client that speaks viser's protocol without drawing: for many at once."""
+"""A page and its scene without a browser, for many at once: it asks, hears, and draws nothing."""
 
+import json
 import random
 import threading
 import time
+import uuid
 
 import msgspec.msgpack
 import viser
 import websockets.sync.client
-import zstandard
 from websockets.exceptions import ConnectionClosed
 
 CAMERA = {
@@ -22,99 +23,94 @@ CAMERA = {
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
 }
-LEFT_ALONE = ("Run", "Stop", "Delete it for good")  # what changes the experiment itself
+PAGES = ("uncertainty", "learning", "weights", "why", "metrics", "next", "record", "nonsense")
+NONSENSE = (None, -1, 1e9, "../../etc/passwd", "", [], {"a": 1}, "\u2212\u00b5<b>")
 
 
 class LightClient:
-    """Connects, changes controls at random, leaves."""
+    """Connects a page and a scene, asks at random, leaves."""
 
     def __init__(self, port: int, *, seed: int) -> None:
         self._random = random.Random(seed)  # noqa: S311  not for secrets
-        self._socket = websockets.sync.client.connect(
-            f"ws://127.0.0.1:{port}/scene/form", origin=f"http://127.0.0.1:{port}",
-            subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None,
-            proxy=None,
+        self._port, self._number = port, 0
+        token = str(uuid.uuid4())
+        self._talk, self._scene = self._connect("/talk"), self._connect(f"/scene/{token}")
+        self.state, self.runs, self.unhappy = {}, [], 0
+        self._answers = {}
+        self._changed = threading.Condition()
+        self._readers = [
+            threading.Thread(target=work, daemon=True) for work in (self._read, self._drain)
+        ]
+        for reader in self._readers:
+            reader.start()
+        self._talk.send(json.dumps({"token": token}))
+        self._scene.send(msgspec.msgpack.encode(CAMERA))
+
+    def _connect(self, path: str):
+        return websockets.sync.client.connect(
+            f"ws://127.0.0.1:{self._port}{path}", origin=f"http://127.0.0.1:{self._port}",
+            subprotocols=[f"viser-v{viser.__version__}"] if path != "/talk" else None,
+            max_size=None, compression=None, proxy=None,
         )  # fmt: skip
-        self.controls: dict[str, dict] = {}
-        self.commands: list[str] = []
-        self.texts: dict[str, str] = {}
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        self._send(CAMERA)
 
-    def wait_for(self, label: str, *, timeout_s: float = 60.0) -> str:
-        """The id of a control."""
-        end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s:
-            for uuid, control in list(self.controls.items()):
-                if control["props"].get("label") == label:
-                    return uuid
-            time.sleep(0.02)
-        raise TimeoutError(label)
+    def ask(self, name: str, *, timeout_s: float = 120.0, **arguments):
+        """What the server answers."""
+        self._number += 1
+        self._talk.send(json.dumps({"id": self._number, "ask": name, "with": arguments}))
+        with self._changed:
+            assert self._changed.wait_for(lambda: self._number in self._answers, timeout_s), name
+            return self._answers.pop(self._number)
 
-    def wait_for_text(self, words: str, *, timeout_s: float = 60.0) -> None:
-        """Wait until some element shows the words."""
-        end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s:
-            if any(words in text for text in list(self.texts.values())):
-                return
-            time.sleep(0.02)
-        raise TimeoutError(words)
-
-    def press(self, label: str) -> None:
-        """Press a button."""
-        self._update(self.wait_for(label), True)
+    def wait_until_idle(self, *, timeout_s: float = 60.0) -> None:
+        """Wait for a state in which nothing runs."""
+        with self._changed:
+            idle = self._changed.wait_for(lambda: self.state.get("running") is False, timeout_s)
+        if not idle:
+            raise TimeoutError(self.state)
 
     def act(self) -> None:
-        """Change one control, or trigger a key, at random."""
-        if self.commands and self._random.random() < 0.2:
-            uuid = self._random.choice(self.commands)
-            self._send({"type": "CommandTriggerMessage", "uuid": uuid})
-            return
-        uuid, control = self._random.choice(list(self.controls.items()))
-        if control["props"].get("label") not in LEFT_ALONE:
-            self._update(uuid, self._value(control))
+        """Ask for something a person would, or for nonsense."""
+        chance, run = self._random, self._random.choice([*self.runs, self.state.get("run")])
+        choice = {"run": run, "among": chance.choice(["all", "carrying"])}
+        asks = (
+            ("ranking", {**choice, "start": chance.randint(0, 50)}),
+            ("rollout", {**choice, "rank": chance.randint(1, 99), "width": 500, "step": -1}),
+            ("step", {"step": chance.randint(0, 99), "follow": True}),
+            ("look", {"move": True, "view": "from above", "dark": chance.random() < 0.5}),
+            ("page", {"run": run, "page": chance.choice(PAGES)}),
+            ("check", {"preset": "paper", "values": {"sigma": str(chance.uniform(-1, 2))}}),
+            ("runs", {}),
+            (chance.choice(["open", "rollout", "pick", "note"]), {"run": chance.choice(NONSENSE)}),
+        )
+        name, arguments = chance.choice(asks)
+        answer = self.ask(name, **arguments)
+        if name == "runs":
+            self.runs = [row["name"] for row in answer["answer"]["rows"]]
+        self.unhappy += "wrong" in answer
 
     def close(self) -> None:
         """Leave."""
-        self._socket.close()
-        self._reader.join(10.0)
+        self._talk.close()
+        self._scene.close()
+        for reader in self._readers:
+            reader.join(10.0)
 
-    def _value(self, control):
-        props, kind, chance = control["props"], control["type"], self._random
-        if kind in ("GuiDropdownMessage", "GuiButtonGroupMessage"):
-            return chance.choice([*props["options"], "../../etc/passwd"])
-        if kind == "GuiSliderMessage":
-            return chance.uniform(props["min"], props["max"])
-        if kind == "GuiNumberMessage":
-            return chance.randint(1, 300)
-        if kind == "GuiTextMessage":
-            return chance.choice(["always[0,99] (gap >= 1.5)", "always[0,9", "", "gap > 1"])
-        return chance.random() < 0.5
-
-    def _update(self, uuid, value):
-        self._send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}})
-
-    def _send(self, message):
-        self._socket.send(msgspec.msgpack.encode(message))
-
-    def _read(self):
-        decompressor = zstandard.ZstdDecompressor()
+    def _read(self) -> None:
         try:
-            for raw in self._socket:
-                size = int.from_bytes(raw[8:16], "little")
-                inner = msgspec.msgpack.decode(decompressor.decompress(raw[16 : 16 + size]))
-                for message in inner["messages"]:
-                    self._note(message)
+            for raw in self._talk:
+                message = json.loads(raw)
+                with self._changed:
+                    if "state" in message:
+                        self.state = message["state"]
+                    else:
+                        self._answers[message["id"]] = message
+                    self._changed.notify_all()
         except ConnectionClosed:
             pass
 
-    def _note(self, message):
-        kind = message["type"]
-        interactive = ("Button", "ButtonGroup", "Dropdown", "Slider", "Number", "Text", "Checkbox")
-        if kind in [f"Gui{name}Message" for name in interactive]:
-            self.controls[message["uuid"]] = message
-        elif kind == "RegisterCommandMessage":
-            self.commands.append(message["uuid"])
-        elif kind == "GuiUpdateMessage" and "content" in message["updates"]:
-            self.texts[message["uuid"]] = message["updates"]["content"]
+    def _drain(self) -> None:
+        try:
+            for _ in self._scene:
+                time.sleep(0)
+        except ConnectionClosed:
+            pass

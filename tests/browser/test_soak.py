@@ -56,16 +56,16 @@ def test_twenty_clients(tmp_path):
     try:
         port = wait_for_port(log)
         first = LightClient(port, seed=0)
-        first.wait_for_text("Ready.")  # the quick look that an empty folder starts with
-        first.press("Run")
+        first.wait_until_idle()  # an empty folder starts with a quick look
+        assert "run" in first.ask("start", preset="paper", values={})["answer"]
         wait_for_results(root, 1)
         first.close()
         time.sleep(2.0)
         before_mb = resident_mb(server.pid)
         clients = [LightClient(port, seed=seed) for seed in range(CLIENTS)]
         for client in clients:
-            client.wait_for("Playback")
-        clients[0].press("Run")
+            client.wait_until_idle()
+        assert "run" in clients[0].ask("start", preset="paper", values={})["answer"]
         acts, end_s = 0, time.monotonic() + SOAK_S
         while time.monotonic() < end_s:
             for client in clients:

@@ -16,17 +16,16 @@ from pemviz.cli.record_run import gate_exit_code
 from pemviz.config import ExperimentConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import load_config
-from pemviz.panel.compare_tab import metrics_page, runs_page
-from pemviz.panel.headline import headline
-from pemviz.panel.learning_tab import learning
+from pemviz.panel.compare_page import metrics_page, runs_page
+from pemviz.panel.learning_page import learning
 from pemviz.panel.loading import load_run
 from pemviz.panel.ranking import METRIC_NAMES, rank, ranking_csv, row
 from pemviz.panel.recordings_folder import RecordingsFolder
-from pemviz.panel.recordings_tab import recordings_table
-from pemviz.panel.rollout_player import track, track_plots
+from pemviz.panel.rollout_charts import track, track_plots
 from pemviz.panel.rollout_tables import check_table
 from pemviz.panel.run_data import RunData
-from pemviz.panel.why_tab import why
+from pemviz.panel.site import dumps
+from pemviz.panel.why_page import why
 from pemviz.recording.open import find_recording
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.pipeline import junit_xml
@@ -69,13 +68,13 @@ def _safetensors_bytes(rng: random.Random, path: Path) -> bytes:
 def pages(run: RunData) -> None:
     """Everything that the panel makes of a run."""
     compared = metrics_page(run) + runs_page([run, run])
-    page = headline(run) + learning(run) + why(run) + compared
+    page = learning(run) + why(run) + compared
     assert "Traceback" not in page
     if run.kept:
         for metric in METRIC_NAMES:
             ranking = rank(run, metric)
             assert ranking.order.size == run.kept
-        track_plots(track(run, row(run, ranking, 0)))
+        track_plots(track(run, row(run, ranking, 0)), width=400)
         ranking_csv(run, ranking)
 
 
@@ -84,7 +83,7 @@ def _listed(recordings: RecordingsFolder) -> None:
     entries, damaged = recordings.entries(), recordings.damaged()
     assert len(entries) + len(damaged) == len(recordings.names())
     assert all(documented(words) for words in damaged)
-    recordings_table(entries, folder=str(recordings.root), damaged=damaged)
+    dumps([entry.summary for entry in entries])
 
 
 def read_run(case: Case) -> None:

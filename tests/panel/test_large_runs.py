@@ -15,14 +15,13 @@ from pemviz.errors import InputError
 from pemviz.files.array_files import map_arrays, read_arrays
 from pemviz.panel import controller as controller_thread
 from pemviz.panel import run_data
-from pemviz.panel.browser import Browser
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.ranking import elites, rank, ranking_csv, row, scoring
-from pemviz.panel.rollout_player import track
+from pemviz.panel.rollout_charts import track
+from pemviz.panel.rollout_details import details
 from pemviz.panel.rollout_tables import thinned
-from pemviz.panel.trajectories_tab import details
-from pemviz.panel.weights_tab import drawn_points, least_gaps
-from pemviz.panel.why_tab import failures_of, standing_for_all, why
+from pemviz.panel.weights_page import drawn_points, least_gaps
+from pemviz.panel.why_page import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.run_folder import carry_out, create_run_folder
 from tests.comparable_results import without_digests
@@ -215,35 +214,12 @@ def test_a_scan_tells_how_far_it_is_and_is_done_once():
     assert some.begin("key", scan, count=count) is not None
     assert heard.wait(30.0)
     assert some.begin("key", scan, count=count) == run_data.ScanProgress(7_000, count)
-    assert not some.known("key")
+    assert some.under_way
     may_end.set()
     assert some.value("key", scan) == "scores"
     assert some.begin("key", scan, count=count) is None
-    assert some.known("key")
+    assert not some.under_way
     assert len(calls) == 1
-
-
-def test_work_beside_a_page_is_told_in_its_own_thread():
-    browser, seen, caller = Browser(None, None), [], threading.get_ident()
-
-    def ended():
-        seen.append("ended")
-
-    def fails():
-        message = "cannot be read"
-        raise InputError(message)
-
-    def then(thread):
-        seen.append((thread != caller, threading.get_ident() == caller))
-
-    browser.beside(threading.get_ident, then, ended=ended)
-    for _ in range(2):
-        browser.next_work(pause_s=30.0)()
-    browser.beside(fails, then, ended=ended)
-    browser.next_work(pause_s=30.0)()
-    with pytest.raises(InputError, match="cannot be read"):
-        browser.next_work(pause_s=30.0)()
-    assert seen == ["ended", (True, True), "ended"]
 
 
 def test_what_a_scan_raises_is_told_to_everybody_who_asks():
@@ -345,7 +321,7 @@ def test_few_violations_stand_for_all_in_weight():
 
 
 def test_the_words_say_of_how_many_violations_some_are_shown(naive_run, monkeypatch):
-    monkeypatch.setattr("pemviz.panel.why_tab.MOST_EXPLAINED", 6)
+    monkeypatch.setattr("pemviz.panel.why_page.MOST_EXPLAINED", 6)
     run = load_run(naive_run.folder)
     failures = failures_of(run)
     total = int(run.rollouts["violated"].sum())

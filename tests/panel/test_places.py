@@ -8,8 +8,8 @@ import pytest
 
 from pemviz.errors import InputError
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.browser import Hub
 from pemviz.panel.controller import Controller, PanelState
+from pemviz.panel.hub import Hub
 from pemviz.panel.ranking import rank
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.panel.run_place import DOCUMENTS, DRAWN, RunPlace
@@ -128,7 +128,7 @@ def test_a_rollout_has_the_values_of_the_tables(live_run):
 @pytest.mark.parametrize("page", [*DOCUMENTS, *DRAWN])
 def test_pages_say_something_and_nothing_in_them_acts(loaded_run, page):
     place = RunPlace(lambda name: loaded_run)
-    found = ask(place, "page", run="x", page=page)
+    found = ask(place, "page", run="x", page=page)["html"]
     assert len(found) > 200
     assert "onclick" not in found
 

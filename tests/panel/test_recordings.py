@@ -15,7 +15,6 @@ from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings_folder import RecordingsFolder, Viewers
-from pemviz.panel.recordings_tab import recordings_table
 from pemviz.panel.rollout_tables import check_table
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
@@ -43,7 +42,8 @@ def folder(tmp_path, kept) -> RecordingsFolder:
 def test_only_run_folders_are_listed(folder):
     assert folder.names() == ["run"]
     (entry,) = folder.entries()
-    assert (entry.name, entry.status, entry.method, entry.seed) == ("run", "done", "adaptive", 5)
+    shown = [entry.name, *(entry.summary[name] for name in ("status", "method", "seed"))]
+    assert shown == ["run", "done", "adaptive", 5]
     assert not entry.has_recording
 
 
@@ -73,11 +73,11 @@ def test_a_folder_that_is_not_there_is_empty(tmp_path):
 
 
 def test_a_rewritten_result_is_read_again(folder):
-    assert folder.entries()[0].status == "done"
+    assert folder.entries()[0].summary["status"] == "done"
     path = folder.root / "run" / "result.json"
     write_result(path.parent, replace(read_result(path.parent), status="stopped"))
     os.utime(path, (1, 1))
-    assert folder.entries()[0].status == "stopped"
+    assert folder.entries()[0].summary["status"] == "stopped"
 
 
 def damage_json(run: Path):
@@ -188,7 +188,6 @@ def test_notes_are_kept_in_the_folder_and_shown_again(folder):
     folder.note("run", "tyres: cold\nsecond line")
     assert (folder.root / "run" / "notes.txt").read_text() == "tyres: cold\nsecond line"
     assert folder.entries()[0].notes == folder.notes("run") == "tyres: cold\nsecond line"
-    assert "tyres: cold second line" in recordings_table(folder.entries(), folder="x")
     folder.note("run", " ")
     assert not (folder.root / "run" / "notes.txt").exists()
     with pytest.raises(InputError, match="must be at most 20,000"):
@@ -205,24 +204,25 @@ def test_notes_that_lead_elsewhere_are_not_read(folder, tmp_path):
     assert (tmp_path / "secret").read_text() == "x"
 
 
-def test_a_deleted_run_is_gone_and_nothing_else(folder, tmp_path):
+def test_a_deleted_run_can_be_brought_back_until_it_is_forgotten(folder, tmp_path):
     (folder.root / "run" / "outside").symlink_to(tmp_path / "outside")
-    folder.delete("run")
+    folder.set_aside("run")
     assert folder.names() == []
+    folder.put_back("run")
+    assert folder.names() == ["run"]
+    folder.set_aside("run")
+    folder.forget()
     assert sorted(p.name for p in folder.root.iterdir()) == ["empty", "link", "note.txt"]
     assert (tmp_path / "outside" / "result.json").exists()
     with pytest.raises(InputError, match="is not in the recordings folder"):
-        folder.delete("run")
-
-
-def test_what_a_kill_left_of_a_deleted_run_is_not_listed(folder):
-    (folder.root / "run").rename(folder.root / ".run.removed")
-    assert folder.names() == []
+        folder.set_aside("run")
+    with pytest.raises(InputError, match="cannot be brought back"):
+        folder.put_back("run")
 
 
 def test_a_run_at_work_is_not_deleted(folder):
     with run_lock(folder.root / "run"), pytest.raises(InputError, match="is at work in it"):
-        folder.delete("run")
+        folder.set_aside("run")
     assert folder.names() == ["run"]
 
 
@@ -231,14 +231,10 @@ def test_the_list_says_what_is_damaged(folder, kept):
         shutil.copytree(kept[0], folder.root / name)
         damage(folder.root / name)
     assert [entry.name for entry in folder.entries()] == ["run"]
-    page = recordings_table(folder.entries(), folder="here", damaged=folder.damaged())
-    assert "result" in page
-    assert f"{Path('bad') / 'result.json'}: cannot be read" in page
-    assert f"{Path('worse') / 'config.toml'}: cannot be read" in page
+    damaged = "\n".join(folder.damaged())
+    assert f"{Path('bad') / 'result.json'}: cannot be read" in damaged
+    assert f"{Path('worse') / 'config.toml'}: cannot be read" in damaged
     assert len(folder.damaged()) == 2
-    many = recordings_table([], folder="here", damaged=["run x: is damaged"] * 30)
-    assert many.count("is damaged") == 10
-    assert "and 20 more damaged runs" in many
 
 
 def test_a_run_without_rollouts_or_proposals_still_shows(folder):

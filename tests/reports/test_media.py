@@ -12,7 +12,7 @@ from markdown_it import MarkdownIt
 from pemviz.analysis.robustness_tail import RobustnessTail
 from pemviz.analysis.starts import DangerousStarts, QuantileRange, StartValue
 from pemviz.config import ExperimentConfig
-from pemviz.panel.why_tab import section_cells
+from pemviz.panel.why_page import section_cells
 from pemviz.recording.text import answer_text, provenance_text, warnings_text
 from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.document import (

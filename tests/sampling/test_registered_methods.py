@@ -10,7 +10,7 @@ from pemviz.cli.main import main
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text, load_config
 from pemviz.errors import ConfigError
-from pemviz.panel import learning_tab, why_tab
+from pemviz.panel import learning_page, why_page
 from pemviz.panel.loading import load_run
 from pemviz.runs.back_ends import check_method_fits, own_back_end
 from pemviz.runs.engine import run_experiment
@@ -175,7 +175,7 @@ def test_record_carries_out_a_registered_method(tmp_path, capsys):
     (folder,) = (tmp_path / "runs").iterdir()
     assert list(read_stages(folder / "run.rrd")) == [0]
     loaded = load_run(folder)
-    shown = learning_tab.learning_words(loaded)
+    shown = learning_page.learning(loaded)
     assert "A coin is thrown &amp; &lt;i&gt;nothing&lt;/i&gt; is learned." in shown
-    assert "the coin <b>" in {line.name for line in learning_tab.proposal_curves(loaded).lines}
-    assert "Pareto k-hat" in why_tab.why(loaded)
+    assert "the coin <b>" in {line.name for line in learning_page.proposal_curves(loaded).lines}
+    assert "Pareto k-hat" in why_page.why(loaded)

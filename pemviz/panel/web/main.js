@@ -91,7 +91,7 @@ function App() {
     ${(wrong || state?.error) && html`<div class="wrong" role="alert">${wrong || state.error}</div>`}
     ${place === "runs" && html`<${Runs} at=${at} state=${state} tell=${setWrong} />`}
     ${place === "run" && (name
-      ? html`<${Run} key=${name} name=${name} at=${{ ...at, place: "run", name }} state=${state} dark=${dark} tell=${setWrong} />`
+      ? html`<${Run} key=${name} name=${name} at=${{ ...at, place: "run", name }} connected=${connected} state=${state} dark=${dark} tell=${setWrong} />`
       : html`<main class="page"><p>No run yet. <a href="#/new">Set one up.</a></p></main>`)}
     ${place === "new" && html`<${NewRun} at=${at} state=${state} tell=${setWrong} />`}
     ${help && html`<dialog open aria-label="Keys"><h2>Keys</h2><table>${KEYS.map(([key, words]) =>

@@ -3,19 +3,22 @@ import { html, useCallback, useEffect, useRef, useState } from "/vendor/htm-prea
 import * as address from "/address.js";
 import { ask, token } from "/talk.js";
 import { Charts, Timeline } from "/timeline.js";
-import { save } from "/save.js";
+import { download, save } from "/save.js";
 
 const PAGES = [
   ["rollouts", "Rollouts"], ["uncertainty", "Uncertainty"], ["learning", "Learning"],
-  ["weights", "Weights"], ["why", "Why"], ["next", "Next"], ["record", "Record"],
+  ["weights", "Weights"], ["why", "Why"], ["metrics", "Metrics"], ["next", "Next"], ["record", "Record"],
 ];
 const AMONG = [["carrying", "what carries the answer"], ["all", "all rollouts"]];
 const FIRST = [["share", "largest contribution"], ["least robust", "least robust"]];
+const FILES = ["result.json", "ranking.csv", "config.toml", "rollouts.npz", "run.rrd"];
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
 const ROWS = 50;
 const VISER = "[data-floating-window],[data-dock-area],.mantine-Paper-root,.mantine-Affix-root,.mantine-Notifications-root{display:none!important}";
 
-export function Run({ name, at, state, dark, tell }) {
+const ranked = (at) => Math.max(1, Math.round(Number(at.rank)) || 1);
+
+export function Run({ name, at, state, dark, connected, tell }) {
   const [run, setRun] = useState(null);
   const [rows, setRows] = useState(null);
   const [rollout, setRollout] = useState(null);
@@ -33,7 +36,10 @@ export function Run({ name, at, state, dark, tell }) {
   const set = useCallback((more) => address.write({ ...address.read(), place: "run", name, ...more }, { replace: true }), [name]);
 
   useEffect(() => {
-    ask("open", { run: name }).then(setRun, (error) => tell(error.message));
+    ask("open", { run: name }).then((found) => {
+      setRun(found);
+      ask("verify", { run: name }).catch((error) => { setRun(null); tell(error.message); });
+    }, (error) => tell(error.message));
   }, [name, version]);
   useEffect(() => {
     const watch = new ResizeObserver(([entry]) => setWidth(Math.round(entry.contentRect.width)));
@@ -49,7 +55,7 @@ export function Run({ name, at, state, dark, tell }) {
     first: at.first ?? "share",
   };
   const chosen = choice && JSON.stringify(choice);
-  const rank = Math.max(1, Math.round(Number(at.rank)) || 1);
+  const rank = ranked(at);
   const start = Math.max(0, Math.floor((rank - 1) / ROWS) * ROWS);
 
   useEffect(() => {
@@ -65,7 +71,7 @@ export function Run({ name, at, state, dark, tell }) {
   }, [chosen, start, version]);
 
   useEffect(() => {
-    if (!chosen || !width || !rows?.count) return;
+    if (!chosen || !width || !rows?.count || !connected) return;  // anew for a server that came back
     const mine = ++asked.current;
     const same = rollout?.rank === rank && rollout?.chosen === chosen;
     const wanted = same ? now.current : at.step !== undefined && !rollout ? Number(at.step) : -1;
@@ -77,7 +83,7 @@ export function Run({ name, at, state, dark, tell }) {
       setStep(found.step);
       setPlaying(false);
     }, (error) => tell(error.message));
-  }, [chosen, rank, width, rows?.count]);
+  }, [chosen, rank, width, rows?.count, connected]);
 
   const last = rollout ? rollout.states - 1 : 0;
   const to = useCallback((next) => {
@@ -126,8 +132,8 @@ export function Run({ name, at, state, dark, tell }) {
       const act = {
         ArrowLeft: () => by(-steps),
         ArrowRight: () => by(steps),
-        ArrowUp: () => pick(rank - 1),
-        ArrowDown: () => pick(rank + 1),
+        ArrowUp: () => pick(ranked(address.read()) - 1),
+        ArrowDown: () => pick(ranked(address.read()) + 1),
         " ": () => setPlaying(!playing),
         m: () => jump(rollout.misses, true),
         M: () => jump(rollout.misses, false),
@@ -162,14 +168,15 @@ export function Run({ name, at, state, dark, tell }) {
         </div>
         <p class="values" data-step=${step} data-rank=${rollout.rank}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
           ego ${rollout.speeds[step]?.toFixed(1)} m/s, ${rollout.words[step]}</p>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
-      <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${last ? step / last : 0} name=${`${name}-rank${rollout.rank}`} rollout=${rollout} />`}</div>
+      <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${last ? step / last : 0} name=${`${name}-rank${rollout.rank}`} rollout=${rollout} play=${() => ask("scene_page", { ...choice, rank }).then((page) => download(`${name}-rank${rank}.html`, new Blob([page], { type: "text/html" })), (error) => tell(error.message))} />`}</div>
+      <details class="quiet"><summary>What the scene shows</summary>${run.scene_words}</details>
     </section>
     <aside>
       <nav aria-label="Pages of the run">${PAGES.map(([key, words]) => html`<a href="#" aria-current=${page === key ? "page" : undefined}
         onClick=${(event) => { event.preventDefault(); set({ page: key === "rollouts" ? "" : key }); }}>${words}</a>`)}</nav>
       ${page === "rollouts"
         ? html`<${Ranking} run=${run} choice=${choice} rows=${rows} rank=${rank} pick=${pick} set=${set} rollout=${rollout} start=${start} />`
-        : html`<${Page} name=${name} page=${page} version=${version} tell=${tell} set=${set} />`}
+        : html`<${Page} name=${name} page=${page} version=${version} tell=${tell} set=${set} shown=${rollout?.row.index} />`}
     </aside>
   </main>`;
 }
@@ -185,6 +192,7 @@ function Strip({ run, set }) {
     <div class="facts">${summary.act_on && html`<b>To act on: ${summary.act_on}</b>`}
       ${summary.decided_by && html`<span class="tag">decided by ${summary.decided_by}</span>`}
       <span class=${summary.sampling_holds ? "yes" : "no"}>${summary.sampling_holds ? "\u2713 sampling ok" : "\u2717 sampling does not hold"}</span>
+      ${summary.target && html`<span class="tag">${summary.target}</span>`}
       ${doubts > 0 && html`<button class="link" aria-expanded=${open} onClick=${() => setOpen(!open)}>${doubts} warning${doubts > 1 ? "s" : ""} ${open ? "\u25b4" : "\u25be"}</button>`}
       <span class="grow"></span><span class="quiet">${run.name}, ${summary.method}, ${run.simulated.toLocaleString("en")} rollouts</span>
       <a class="tag" href=${`/files/${encodeURIComponent(run.name)}/result.json`} download>result.json</a>
@@ -234,12 +242,23 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
   </div>`;
 }
 
-function Page({ name, page, version, tell, set }) {
+function Page({ name, page, version, tell, set, shown }) {
   const [content, setContent] = useState(null);
+  const holder = useRef(null);
+  useEffect(() => setContent(null), [name, page]);
   useEffect(() => {
-    setContent(null);
-    ask("page", { run: name, page }).then(setContent, (error) => tell(error.message));
+    let over = false;
+    const look = () => ask("page", { run: name, page }).then((found) => {
+      if (over) return;
+      setContent(found.html);
+      if (found.waits) setTimeout(look, 500);
+    }, (error) => tell(error.message));
+    look();
+    return () => { over = true; };
   }, [name, page, version]);
+  useEffect(() => {
+    holder.current?.querySelectorAll("g[data-number]").forEach((one) => one.classList.toggle("shown", Number(one.dataset.number) === shown));
+  });
   const clicked = (event) => {
     const one = event.target.closest("[data-number]");
     const target = one?.closest("[data-target]")?.dataset.target;
@@ -249,5 +268,7 @@ function Page({ name, page, version, tell, set }) {
   if (content === null) return html`<p class="quiet">...</p>`;
   return html`<div><div class="bar"><span class="grow"></span><button onClick=${(event) =>
       event.target.closest("aside").querySelectorAll("svg").forEach((svg, place) => save(svg, `${name}-${page}-${place + 1}`))}>PNG of the charts</button></div>
-    <div class="pemviz document" onClick=${clicked} dangerouslySetInnerHTML=${{ __html: content }}></div></div>`;
+    ${page === "record" && html`<p>Files: ${FILES.map((file) => html`<a class="tag" download
+      href=${`/files/${encodeURIComponent(name)}/${file}`}>${file}</a> `)}</p>`}
+    <div ref=${holder} class="pemviz document" onClick=${clicked} dangerouslySetInnerHTML=${{ __html: content }}></div></div>`;
 }

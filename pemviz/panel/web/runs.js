@@ -75,8 +75,12 @@ export function Runs({ at, state, tell }) {
     await ask("note", { run: row.name, text }).catch((error) => tell(error.message));
     load();
   };
+  const view = (row) => {  // opened at the click itself: a browser refuses a window that comes later
+    const opened = window.open("about:blank");
+    ask("viewer", { run: row.name }).then((there) => { opened.opener = null; opened.location = there; },
+      (error) => { opened.close(); tell(error.message); });
+  };
   if (!found) return html`<main class="page"><p class="quiet">Reading the runs ...</p></main>`;
-  const kept = rows;
   return html`<main class="page">
     <div class="bar">
       <input type="search" ref=${search} placeholder="Search: words that a run must have ( / )" aria-label="Search the runs"
@@ -90,8 +94,8 @@ export function Runs({ at, state, tell }) {
     </div>
     ${found.damaged.map((text) => html`<p class="wrong">${text}</p>`)}
     <div class="scroll"><table class="runs" aria-label="Runs">
-      <thead><tr><th><input type="checkbox" aria-label="Tick all" checked=${kept.length > 0 && ticked.size === kept.length}
-        onChange=${(event) => setTicked(new Set(event.target.checked ? kept.map((row) => row.name) : []))} /></th>
+      <thead><tr><th><input type="checkbox" aria-label="Tick all" checked=${rows.length > 0 && ticked.size === rows.length}
+        onChange=${(event) => setTicked(new Set(event.target.checked ? rows.map((row) => row.name) : []))} /></th>
         ${COLUMNS.map(([key, head]) => html`<th aria-sort=${sort === key ? (down ? "descending" : "ascending") : undefined}>
           <button class="head" onClick=${() => set({ sort: key, down: sort === key && down ? "0" : "1" })}>${head}${
             sort === key ? (down ? " \u25be" : " \u25b4") : ""}</button></th>`)}<th></th></tr></thead>
@@ -107,7 +111,8 @@ export function Runs({ at, state, tell }) {
         <td class="n" title=${row.warnings.join("\n")}>${row.warnings.length || ""}</td>
         <td class="n">${row.rollouts.toLocaleString("en")}</td><td>${row.status}</td>
         <td><a href=${`#/run/${encodeURIComponent(row.name)}`}>${row.name}</a><br /><span class="quiet">${row.note}</span></td>
-        <td>${row.kept && html`<button title="Write a note" onClick=${() => note(row)}>note</button>`}</td>
+        <td>${row.kept && html`<button title="Write a note" onClick=${() => note(row)}>note</button>`}
+          ${row.recording && html`<button title="The recording in rerun's viewer, in a new tab" onClick=${() => view(row)}>rerun</button>`}</td>
       </tr>`)}</tbody></table></div>
     ${at.compare && html`<${Compare} key=${at.compare} names=${at.compare.split(" ")} close=${() => set({ compare: "" })} tell=${tell} />`}
     ${!rows.length && html`<p class="quiet">${found.rows.length ? "No run has these words." : html`No runs yet. <a href="#/new">Set one up.</a>`}</p>`}

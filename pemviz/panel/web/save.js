@@ -1,6 +1,6 @@
 // Charts as pictures, and what they draw as a table.
 
-function download(name, blob) {
+export function download(name, blob) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
   link.download = name;

@@ -2,6 +2,8 @@
 import { html, useRef } from "/vendor/htm-preact.js";
 import { csv, save } from "/save.js";
 
+const ROOM = 0.15;
+
 export function Timeline({ chart, rollout, step, to }) {
   const bar = useRef(null);
   const last = rollout.states - 1;
@@ -12,9 +14,9 @@ export function Timeline({ chart, rollout, step, to }) {
     const box = bar.current.getBoundingClientRect();
     to(Math.round(((event.clientX - box.left) / box.width) * last));
   };
-  const events = [
-    ["first miss", rollout.misses[0]], ["last miss", rollout.misses.at(-1)], ["contact", rollout.contact],
-  ].filter(([, place]) => place != null);
+  const events = [["contact", rollout.contact], ["first miss", rollout.misses[0]], ["last miss", rollout.misses.at(-1)]]
+    .filter(([, place]) => place != null)
+    .filter(([, place], rank, all) => all.slice(0, rank).every(([, other]) => Math.abs(place - other) > ROOM * last));  // words side by side
   return html`<div class="timeline" style=${{ marginLeft: `${100 * chart.left}%`, width: `${100 * (chart.right - chart.left)}%` }} ref=${bar} role="slider" tabindex="0" aria-label="Step" aria-valuemin="0"
       aria-valuemax=${last} aria-valuenow=${step} onPointerDown=${drag} onPointerMove=${drag}>
     ${rollout.detections.map((place) => html`<i class="hit" style=${{ left: at(place) }}></i>`)}
@@ -25,7 +27,7 @@ export function Timeline({ chart, rollout, step, to }) {
   </div>`;
 }
 
-export function Charts({ charts, share, name, rollout }) {
+export function Charts({ charts, share, name, rollout, play }) {
   const holder = useRef(null);
   const table = () => csv(`${name}.csv`, ["time_s", rollout.signal, "ego_speed_mps", "perception"],
     rollout.values.map((value, step) => [(step * rollout.dt_s).toFixed(4), value, rollout.speeds[step], rollout.words[step]]));
@@ -33,5 +35,5 @@ export function Charts({ charts, share, name, rollout }) {
       <div dangerouslySetInnerHTML=${{ __html: chart.svg }}></div>
       <b style=${{ left: `${100 * (chart.left + share * (chart.right - chart.left))}%` }}></b></div>`)}
     <p class="bar"><span class="grow"></span><button onClick=${() => holder.current.querySelectorAll("svg").forEach((svg, place) =>
-      save(svg, `${name}-${place + 1}`))}>PNG</button><button onClick=${table}>CSV</button></p></div>`;
+      save(svg, `${name}-${place + 1}`))}>PNG</button><button onClick=${table}>CSV</button><button title="A page that plays the scene without a server" onClick=${play}>3D page</button></p></div>`;
 }

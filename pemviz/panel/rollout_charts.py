@@ -1,24 +1,18 @@
-"""One rollout in the scene and in plots against time: play, pause, speed, scrub, follow."""
+"""One rollout: what is drawn of it, and its charts against time."""
 
-import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-import viser
 
 from pemviz import stl
 from pemviz.arrays import FloatArray
-from pemviz.charts.svg import Axis, Plot, svg_element, text
+from pemviz.charts.svg import Axis, Plot, svg_element
 from pemviz.colors import BLUE, DETECTED, GREY, MISSED, PEM, PROPOSAL, VERMILLION, car_color
 from pemviz.config import ExperimentConfig
-from pemviz.panel.browser import Browser, Window
 from pemviz.panel.curve_chart import signal_label, signal_name
-from pemviz.panel.page import PLOTS, ROLLOUT, SHEET, SPEEDS, number
+from pemviz.panel.pieces import number
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.run_data import RunData, detection_probability
-from pemviz.panel.scene import FIRST_VIEW_POSITION, FIRST_VIEW_TARGET, Scene
 from pemviz.runs.drawn_rollout import (
     NOT_EVALUATED,
     RIGHT,
@@ -35,25 +29,12 @@ from pemviz.stl.formulas import Constant, Predicate
 from pemviz.stl.formulas import Signal as SignalOf
 from pemviz.types import Signal
 
-PLOT_WIDTH, HEIGHT = 300, 190
-CURSOR = "#111827"
+HEIGHT = 190
 NAME_CHARACTERS = 16
 MARGIN = 8
 MOST_INSIDE = 3
 """Cars whose names have room among the lines of their speeds; of more they stand beside these."""
 LEGEND_BESIDE, BESIDE_CHARACTERS = 96, 12
-Key = Literal["space", "arrowleft", "arrowright"]
-
-PLAYED_AT = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0}
-STEP_HINT = "State of the rollout; drag to scrub. Keys: arrow left, arrow right."
-PLAY_HINT = "Play and pause (key: space), start again, speed as a multiple of real time."
-PLOT_PAUSE_S = 0.12
-Place = tuple[float, float, float]
-VIEWS: dict[str, tuple[Place, Place]] = {
-    "from behind": (FIRST_VIEW_POSITION, FIRST_VIEW_TARGET),
-    "from above": ((17.0, -9.5, 75.0), (17.0, -9.0, 0.0)),
-}
-"""Where the camera stands, and what it looks at; the rollout's plots cover what lies below."""
 SHADES = {NOT_EVALUATED: GREY, RIGHT: DETECTED, WRONG: MISSED}
 
 
@@ -125,33 +106,13 @@ def _limits(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
     return tuple(sorted(limits))
 
 
-def track_plots(chosen: Track, *, width: int = PLOT_WIDTH) -> tuple[str, ...]:
-    """The plots, each without its end, where :func:`with_cursor` puts a cursor."""
+def track_plots(chosen: Track, *, width: int) -> tuple[str, ...]:
+    """The charted signal, speeds and perception against time."""
     names = (chosen.title, "Speeds", "Perception")
     return tuple(
-        svg_element(plot.group() + "@@", width=width, height=HEIGHT, title=name).split("@@")[0]
+        svg_element(plot.group(), width=width, height=HEIGHT, title=name)
         for plot, name in zip(_plots(chosen, width=width), names, strict=True)
     )
-
-
-def with_cursor(plots: Sequence[str], chosen: Track, step: int, *, speed: float) -> str:
-    """The plots side by side with a cursor at a step, and the values there."""
-    time_s, unit = float(chosen.time_s[step]), chosen.charted.unit
-    values = (
-        f"{chosen.values[step]:.2f} {unit} at {time_s:.2f} s".replace("  ", " "),
-        f"ego {chosen.drawn.states.speed_mps[step, 0]:.1f} m/s, played at {speed:g}x",
-        step_words(chosen, step),
-    )
-    shown: list[str] = []
-    for place, (drawn, plot) in enumerate(zip(plots, track_axes(chosen), strict=True)):
-        x = plot.px(time_s)
-        line = f"<path d='M{x:.1f} {plot.top}V{plot.bottom}' stroke='{CURSOR}' stroke-width='1.4'/>"
-        words = text(values[place], PLOT_WIDTH - MARGIN, plot.top - 9, anchor="end", color=CURSOR)
-        named = "" if place else f" data-cursor='{step}'"
-        shown.append(f"{drawn}<g{named}>{line}{words}</g></svg>")
-    charted, speeds, perception = shown
-    middle = speeds.replace("<svg ", f"<svg class='{SPEEDS}' ", 1)
-    return f"<div class='{PLOTS}'>{charted}{middle}{perception}</div>"
 
 
 def step_words(chosen: Track, step: int) -> str:
@@ -171,7 +132,7 @@ def step_words(chosen: Track, step: int) -> str:
     return ", ".join(wrong) or "no error"
 
 
-def track_axes(chosen: Track, *, width: int = PLOT_WIDTH) -> tuple[Plot, Plot, Plot]:
+def track_axes(chosen: Track, *, width: int) -> tuple[Plot, Plot, Plot]:
     """The plots with nothing on them: where their axes lie."""
     drawn, signal = chosen.drawn, chosen.charted
     time = Axis(0.0, max(float(chosen.time_s[-1]), drawn.dt_s), "time [s]")
@@ -258,129 +219,3 @@ def _draw_detection(plot: Plot, chosen: Track) -> None:
 
 def _short(name: str, *, most: int = NAME_CHARACTERS) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}\N{HORIZONTAL ELLIPSIS}"
-
-
-class Player:
-    """Plays one rollout in this browser's scene."""
-
-    def __init__(self, browser: Browser) -> None:
-        self._browser = browser
-        self.playing = False
-        self._key: object = None
-        self.track: Track | None = None
-        self._pieces: tuple[str, ...] = ()
-        self._step = 0
-        self._began: tuple[float, int] = (0.0, 0)
-        self._plotted_s = 0.0
-        self._speed = 1.0
-        self.scene = Scene(browser.client.scene)
-        self.window = Window(browser.client, at_top=False)
-        with self.window.panel.add_tab("Rollout", viser.Icon.MOVIE):
-            self._add_controls()
-
-    def show(self, run: RunData, entry: RankedRow) -> None:
-        """Show a rollout; nothing changes if it is the one shown."""
-        key = (self._browser.selections, run.name, entry.repetition, entry.stage, entry.rollout)
-        if key == self._key:
-            return
-        chosen = self.track = track(run, entry)
-        self._key = key
-        self._pieces = track_plots(chosen)
-        self.playing = False
-        with self._browser.client.atomic():
-            self.slider.max = chosen.drawn.count - 1
-            self.scene.show(chosen.drawn)
-            self._go_to(chosen.interesting_step)
-
-    def look_from(self, position: Place, target: Place) -> None:
-        """Put the camera somewhere, and have it look at something."""
-        camera = self._browser.client.camera
-        camera.position, camera.look_at = position, target
-
-    @property
-    def contact_words(self) -> str:
-        """When and how fast the cars of the rollout shown touch, if they do."""
-        return "" if self.track is None else self.track.drawn.contact_words
-
-    def advance(self) -> None:
-        """Move on with the time that has passed, while playing."""
-        chosen = self.track
-        if not self.playing or chosen is None:
-            return
-        began_s, first = self._began
-        passed = (time.monotonic() - began_s) * self._speed
-        step = min(first + int(passed / chosen.drawn.dt_s), chosen.drawn.count - 1)
-        if step != self._step:
-            self._go_to(step)
-        if step == chosen.drawn.count - 1:
-            self._pause()
-
-    def _add_controls(self) -> None:
-        gui, browser = self._browser.client.gui, self._browser
-        gui.add_html(f"{SHEET}<div class='{ROLLOUT}'></div>")
-        self.slider = gui.add_slider("Step", 0, 99, 1, 0, hint=STEP_HINT)
-        buttons = ("Play", "Pause", "Restart", *PLAYED_AT)
-        self.play = gui.add_button_group("Playback", buttons, hint=PLAY_HINT)
-        self._plots = gui.add_html("")
-        self.slider.on_update(browser.on(self._scrub))
-        self.play.on_click(browser.on(self._play_clicked))
-        keys: tuple[tuple[str, Key, Callable[[], None]], ...] = (
-            ("Play or pause", "space", lambda: self._pause() if self.playing else self._play()),
-            ("Step back", "arrowleft", lambda: self._nudge(-1)),
-            ("Step ahead", "arrowright", lambda: self._nudge(1)),
-        )
-        for label, key, work in keys:
-            gui.add_command(label, hotkey=key).on_trigger(browser.on(work))
-
-    def _go_to(self, step: int) -> None:
-        chosen = self.track
-        if chosen is None:
-            return
-        self._step = min(max(step, 0), chosen.drawn.count - 1)
-        with self._browser.client.atomic():
-            self.scene.at(self._step)
-            self.slider.value = self._step
-            now_s = time.monotonic()
-            if not self.playing or now_s - self._plotted_s >= PLOT_PAUSE_S:
-                self._plotted_s = now_s
-                page = with_cursor(self._pieces, chosen, self._step, speed=self._speed)
-                self._plots.content = page
-
-    def _scrub(self) -> None:
-        self._pause()
-        self._go_to(self.slider.value)
-
-    def _nudge(self, by: int) -> None:
-        self._pause()
-        self._go_to(self._step + by)
-
-    def _play_clicked(self) -> None:
-        word = self.play.value
-        if word in PLAYED_AT:
-            self._speed = PLAYED_AT[word]
-            self._began = (time.monotonic(), self._step)
-            self._go_to(self._step)
-        elif word == "Pause":
-            self._pause()
-        else:
-            if word == "Restart":
-                self._go_to(0)
-            self._play()
-
-    def _play(self) -> None:
-        if self.track is None:
-            return
-        if self._step >= self.track.drawn.count - 1:
-            self._go_to(0)
-        self.playing = True
-        self._began = (time.monotonic(), self._step)
-
-    def _pause(self) -> None:
-        if self.playing:
-            self.playing = False
-            self._go_to(self._step)
-
-    def follow(self, follow: bool) -> None:
-        """Whether the view keeps up with the ego car."""
-        self.scene.follow = follow
-        self._go_to(self._step)

@@ -1,4 +1,4 @@
-"""The Why tab: which misses cause violations, and how far to trust the number."""
+"""The Why page: which misses cause violations, and how far to trust the number."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,17 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.analysis.causes import contributions
-from pemviz.analysis.starts import MOST_POINTS
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLACK, VERMILLION
-from pemviz.panel.browser import Browser, Window, element_id
-from pemviz.panel.page import PLOT_PX, cell, page, quiet, wide
+from pemviz.panel.pieces import cells, quiet
 from pemviz.panel.ranking import log_contributions
 from pemviz.panel.rollout_tables import final_violations
 from pemviz.panel.run_data import RunData, detection_probability
-from pemviz.panel.trajectories_tab import TrajectoriesTab
-from pemviz.reports.causes_words import SHOWN_CHAINS, shown_chains
 from pemviz.reports.document import Block, Figure, Section, Table
 from pemviz.reports.html import blocks_html, heading, sections_html
 from pemviz.reports.run_document import TRUST, WHY, run_document
@@ -26,28 +22,18 @@ from pemviz.simulators.slots import Slot
 BAND_M = 1.0
 MOST_BANDS = 250
 MOST_EXPLAINED = 20_000
-CHAIN_HINT = (
-    "Show the rollout that contributes most to the chain of misses at this place of the table "
-    "below, in the scene; or click the chain there."
-)
-START_HINT = (
-    "Show the violating rollout of this number in the plane of starts below, in the scene; or "
-    "click its dot there."
-)
 
 
-def why(run: RunData | None, *, targets: Mapping[str, str] | None = None) -> str:
-    """The whole tab.
+def why(run: RunData, *, targets: Mapping[str, str] | None = None) -> str:
+    """The whole page.
 
     Args:
         run: The run shown.
-        targets: Element ids of the inputs that a click on a chain, or on a rollout in the plane of
-            starts, writes its place into; left out, nothing can be clicked.
+        targets: What a click on a chain, or on a rollout in the plane of starts, is called; left
+            out, nothing can be clicked.
     """
-    if run is None:
-        return page(wide(quiet("Nothing has run yet.")))
     if run.running:
-        return page(wide(quiet("Explained when the run under way is done.")))
+        return quiet("Explained when the run under way is done.")
     known = {} if targets is None else targets
     return run.memo.get(("why", *known.items()), lambda: _why(run, targets=known))
 
@@ -55,12 +41,10 @@ def why(run: RunData | None, *, targets: Mapping[str, str] | None = None) -> str
 def _why(run: RunData, *, targets: Mapping[str, str]) -> str:
     document = run_document(run.result)
     sections = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
-    beyond = sections_html(document.choose(("extrapolation",)))
-    return page(
-        *map(cell, _misses(run)),
-        *(cell(part) for section in sections for part in section_cells(section, targets=targets)),
-        cell(sections_html(document.choose(("assumptions",)))),
-        wide(f"<div style='columns:{PLOT_PX}px'>{beyond}</div>"),
+    return cells(
+        *_misses(run),
+        *(part for section in sections for part in section_cells(section, targets=targets)),
+        sections_html(document.choose(("assumptions", "extrapolation"))),
     )
 
 
@@ -158,7 +142,7 @@ def _misses(run: RunData) -> list[str]:
     if failures is None:
         words = (
             "No rollout of this run violates: there is nothing to explain. Plain simulation "
-            "hardly ever finds a violation; choose another method in the Experiment tab."
+            "hardly ever finds a violation; choose another method."
         )
         return [title + quiet(words)]
     memory = run.result.memory
@@ -258,56 +242,3 @@ def by_distance(failures: Failures, gap_m: FloatArray) -> tuple[FloatArray, Floa
         return np.divide(part, total, out=np.full(size, np.nan), where=total > 0.0)
 
     return edges, share(failures.missed.astype(np.float64)), share(failures.pem_miss)
-
-
-class WhyTab:
-    """Which misses cause violations, and how far to trust the number; a chain opens in 3D."""
-
-    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
-        gui = browser.client.gui
-        self._trajectories = trajectories
-        self._window = window
-        self._run: RunData | None = None
-        self.chain = gui.add_number(
-            "Show chain", 0, min=0, max=SHOWN_CHAINS, step=1, hint=CHAIN_HINT
-        )
-        self.start = gui.add_number(
-            "Show start", 0, min=0, max=MOST_POINTS, step=1, hint=START_HINT, visible=False
-        )
-        self._page = gui.add_html("")
-        self.chain.on_update(browser.on(self._show_chain))
-        self.start.on_update(browser.on(self._show_start))
-
-    def refresh(self, run: RunData | None) -> None:
-        """Show a run."""
-        self._run = run
-        self.start.visible = run is not None and bool(run.result.starts)
-        targets = {"chain": element_id(self.chain), "start": element_id(self.start)}
-        self._page.content = why(run, targets=targets)
-
-    def _show_start(self) -> None:
-        place = int(self.start.value)
-        starts = () if self._run is None else self._run.result.starts
-        points = starts[0].points if starts else ()
-        if place < 1 or not points:
-            return
-        point = points[min(place, len(points)) - 1]
-        self.start.value = 0  # so that the same one can be chosen again
-        self._show(point.repetition, point.stage, point.rollout)
-
-    def _show_chain(self) -> None:
-        place = int(self.chain.value)
-        explanation = None if self._run is None else self._run.result.explanation
-        if place < 1 or explanation is None or explanation.stage is None:
-            return
-        chains = shown_chains(explanation.chains)
-        if not chains:
-            return
-        chain = chains[min(place, len(chains)) - 1]
-        self.chain.value = 0  # so that the same chain can be chosen again
-        if chain.likeliest is not None:
-            self._show(explanation.repetition, explanation.stage, chain.likeliest)
-
-    def _show(self, repetition: int, stage: int, rollout: int) -> None:
-        self._trajectories.pick(repetition=repetition, stage=stage, rollout=rollout)
-        self._window.panel.minimize()  # the scene is what is to be seen

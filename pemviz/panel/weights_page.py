@@ -1,4 +1,4 @@
-"""The Weights tab: weights over robustness, and how near the cars come."""
+"""The Weights page: weights over robustness, and how near the cars come."""
 
 import math
 from dataclasses import dataclass
@@ -8,13 +8,11 @@ import numpy as np
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.charts.svg import Axis, Plot, text
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
-from pemviz.panel.browser import Browser, Window, element_id
-from pemviz.panel.curve_chart import RUN_DASHES, Chart, Curves, Line, over_time, signal_name
-from pemviz.panel.page import cell, number, page, percent, progress_words, quiet, wide
+from pemviz.panel.curve_chart import RUN_DASHES, Curves, Line, curves_svg, over_time, signal_name
+from pemviz.panel.pieces import cells, number, percent, progress_words, quiet
 from pemviz.panel.ranking import shares
 from pemviz.panel.rollout_tables import in_final_stages
 from pemviz.panel.run_data import Report, RunData, Scan, ScanProgress, row_parts
-from pemviz.panel.trajectories_tab import TrajectoriesTab
 from pemviz.reports.charts import RUN_COLORS
 from pemviz.reports.html import clicks_to
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
@@ -26,25 +24,20 @@ FARTHEST = -60.0
 LN10 = math.log(10.0)
 
 
-def weights_page(run: RunData | None, *, target: str, selected: int | None) -> str:
-    """The whole tab.
-
-    Args:
-        run: The run shown.
-        target: Element id of the input that a click on a point writes the rollout's index into.
-        selected: The index of the rollout shown.
-    """
-    if run is None or not run.parts:
-        return page(wide(quiet("No rollouts yet.")))
+def weights_page(run: RunData, *, target: str) -> str:
+    """The whole page; a click on a point is one on ``target``, with the rollout's index."""
+    if not run.parts:
+        return quiet("No rollouts yet.")
     if run.running:
-        return page(wide(quiet("Drawn when the run under way is done.")))
-    before, after = run.memo.get(("weights", target), lambda: _weights(run, target=target))
+        return quiet("Drawn when the run under way is done.")
+    weights = run.memo.get(("weights", target), lambda: _weights(run, target=target))
+    heaviest = heaviest_curves(run)
     waiting = looking_at_gaps(run)
     if waiting is not None:
         gaps = quiet(f"Least gaps: {progress_words(waiting)}.")
     else:
         gaps = run.memo.get("least gaps", lambda: _least_gaps(run))
-    return page(cell(before + _ring(run, selected) + after), cell(gaps))
+    return cells(weights, gaps, "" if heaviest is None else curves_svg(heaviest))
 
 
 def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
@@ -69,10 +62,10 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
     return np.sort(np.concatenate([heavy, rest[places]]))
 
 
-def _weights(run: RunData, *, target: str) -> tuple[str, str]:
-    """The plot of weights over robustness, in two pieces between which the ring is put."""
+def _weights(run: RunData, *, target: str) -> str:
+    """The plot of weights over robustness."""
     if not run.method.has_likelihood_ratios:
-        return quiet("Splitting's rollouts carry no weights: there is nothing to draw here."), ""
+        return quiet("Splitting's rollouts carry no weights: there is nothing to draw here.")
     plot, index = _weight_axes(run)
     plot.vline(0.0, color=VERMILLION, label="0")
     shapes = "".join(_point(run, plot, one) for one in index.tolist())
@@ -81,11 +74,10 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
     violates = "\N{MULTIPLICATION X} violates; larger: more of the answer"
     group += text(violates, plot.left, y, color=MISSED)
     group += text("\N{BLACK CIRCLE} does not", plot.left + 210, y, color=BLUE)
-    before, after = plot.text(extra=f"{group}@@").split("@@")
     words = (
         "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
         "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
-        "shows below and in the scene."
+        "shows in the scene."
     )
     if index.size < run.simulated:
         words += (
@@ -93,7 +85,7 @@ def _weights(run: RunData, *, target: str) -> tuple[str, str]:
             f"{MOST_POINTS // 2} those that contribute most, and of the others some evenly by "
             "robustness, from the least robust on."
         )
-    return before, after + quiet(words)
+    return plot.text(extra=group) + quiet(words)
 
 
 def _weight_axes(run: RunData) -> tuple[Plot, IntArray]:
@@ -144,23 +136,9 @@ def _point(run: RunData, plot: Plot, index: int) -> str:
     return f"<g data-number='{index}'>{shape}{hit}<title>{tip}</title></g>"
 
 
-def _ring(run: RunData, selected: int | None) -> str:
-    weighted = run.method.has_likelihood_ratios
-    if selected is None or selected >= run.kept or not weighted:
-        return ""
-    x, y = _at(run, _weight_axes(run)[0], selected)
-    if not (math.isfinite(x) and math.isfinite(y)):
-        return ""
-    ring = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='8' fill='none' stroke='{BLACK}'"
-    label = text("shown", x + 11, y + 3.5, color=BLACK)
-    return (
-        f"<g data-shown='{selected}' pointer-events='none'>{ring} stroke-width='1.8'/>{label}</g>"
-    )
-
-
-def heaviest_curves(run: RunData | None) -> Curves | None:
+def heaviest_curves(run: RunData) -> Curves | None:
     """Gap over time of the rollouts that contribute most to the answer."""
-    if run is None or not run.parts or run.running:
+    if not run.parts or run.running:
         return None
     return run.memo.get("heaviest", lambda: _heaviest_curves(run))
 
@@ -279,58 +257,3 @@ def _least_gaps(run: RunData) -> str:
     if run.kept < run.simulated:
         words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
     return plot.text() + quiet(words)
-
-
-NUMBER_HINT = (
-    "Show a rollout in the scene and below: its place in the run's rollouts.npz, counted from 0; "
-    "or click a point."
-)
-
-
-class WeightsTab:
-    """All rollouts at once; a click on one shows it."""
-
-    def __init__(self, browser: Browser, trajectories: TrajectoriesTab, window: Window) -> None:
-        gui = browser.client.gui
-        self._trajectories = trajectories
-        self._window = window
-        self._run: RunData | None = None
-        self.waiting = False
-        self.number = gui.add_number("Show rollout", 0, min=0, max=10_000_000, step=1,
-            hint=NUMBER_HINT)  # fmt: skip
-        self._page = gui.add_html("")
-        self._curves = Chart(browser)
-        self.number.on_update(browser.on(self._show_rollout))
-        trajectories.on_show(self._mark)
-
-    def refresh(self, run: RunData | None) -> None:
-        """Show a run."""
-        self._run = run
-        last = max(0 if run is None else run.kept - 1, 0)
-        self.number.max = last
-        self._curves.show(heaviest_curves(run))
-        self._draw()
-
-    def _draw(self) -> None:
-        run, shown = self._run, self._trajectories.shown
-        selected = None if shown is None else shown.index
-        self.waiting = run is not None and not run.running and looking_at_gaps(run) is not None
-        page = weights_page(self._run, target=element_id(self.number), selected=selected)
-        self._page.content = page
-
-    def go_on(self) -> None:
-        """Tell how far the look at all rollouts is, while it goes on."""
-        if self.waiting:
-            self._draw()
-
-    def _mark(self) -> None:
-        shown = self._trajectories.shown
-        if shown is not None and self.number.value != shown.index:
-            self.number.value = shown.index
-        self._draw()
-
-    def _show_rollout(self) -> None:
-        if self._run is not None:
-            self._trajectories.pick_index(int(self.number.value))
-            if self._window.is_short:
-                self._window.panel.minimize()

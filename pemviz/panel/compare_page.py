@@ -1,4 +1,4 @@
-"""The Compare tab: metrics against each other, and runs side by side."""
+"""Runs side by side, and the metrics against each other on the same rollouts."""
 
 from collections.abc import Sequence
 
@@ -9,23 +9,22 @@ from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
 from pemviz.errors import InputError
-from pemviz.panel.browser import Browser
 from pemviz.panel.curve_chart import (
     RUN_DASHES,
-    Chart,
     Curves,
     Line,
+    curves_svg,
     over_common,
     over_time,
     signal_label,
 )
-from pemviz.panel.page import cell, number, page, progress_words, quiet, wide
-from pemviz.panel.ranking import METRIC_NAMES, Ranking, elites, is_scored, rank, row, scoring
-from pemviz.panel.run_data import RunData, ScanProgress
+from pemviz.panel.pieces import cells, number, progress_words, quiet
+from pemviz.panel.ranking import METRIC_NAMES, Ranking, elites, rank, row, scoring
+from pemviz.panel.run_data import RunData
 from pemviz.reports.charts import RUN_COLORS, runs_chart
 from pemviz.reports.document import Block, Figure, Paragraph, Table
 from pemviz.reports.estimate_words import interval_text, probability_text
-from pemviz.reports.html import blocks_html, heading, warning
+from pemviz.reports.html import blocks_html, warning
 from pemviz.runs.reading import flat_settings
 from pemviz.runs.uncertainty import run_interval_caveats
 
@@ -37,36 +36,22 @@ ESTIMATES = (
     "run", "P(violation)", "interval", "violations", "rollouts simulated", "effective sample size",
     "Pareto k-hat", "NLL [nats]", "sampling reliable?",
 )  # fmt: skip
-NONE = "none"
-ADD_HINT = (
-    "A run of the recordings folder, shown beside the run shown (A); one after the other, up to "
-    "six side by side."
-)
-SCORE_HINT = (
-    "Score all rollouts under every metric; in a run of many rollouts that takes a while, in "
-    "which the panel can be used."
-)
-REMOVE_HINT = "Take a run away again."
 
 
-def comparing(run: RunData | None, *, wanted: bool) -> ScanProgress | bool:
-    """Whether the metrics' scores are there, or how far; of a large run computed if ``wanted``."""
-    if run is None or not run.parts or run.running:
-        return True
-    missing: list[MetricName] = [metric for metric in METRIC_NAMES if not is_scored(run, metric)]
-    if not missing or not wanted:
-        return not missing
-    waits = (scoring(run, metric) for metric in missing)  # one after the other
-    return next((progress for progress in waits if progress is not None), True)
+def metrics_page(run: RunData) -> str:
+    """How far the elites of the metrics agree, and each one's least robust rollout.
 
-
-def metrics_page(run: RunData | None) -> str:
-    """How far the elites of the metrics agree."""
-    if run is None or not run.parts:
-        return page(wide(quiet("No rollouts yet.")))
+    Scores of a large run are computed beside; until they are there, the page says how far.
+    """
+    if not run.parts:
+        return quiet("No rollouts yet.")
     if run.running:
-        return page(wide(quiet("Metrics are compared when the run under way is done.")))
-    return run.memo.get("compare", lambda: page(cell(_overlaps(run))))
+        return quiet("Metrics are compared when the run under way is done.")
+    waits = (scoring(run, metric) for metric in METRIC_NAMES)  # one after the other
+    waiting = next((progress for progress in waits if progress is not None), None)
+    if waiting is not None:
+        return quiet(f"Scored: {progress_words(waiting)}.")
+    return run.memo.get("compare", lambda: cells(_overlaps(run), curves_svg(_metric_curves(run))))
 
 
 def _overlaps(run: RunData) -> str:
@@ -102,14 +87,8 @@ def _rankings(run: RunData) -> tuple[dict[MetricName, Ranking], list[str]]:
     return rankings, complaints
 
 
-def metric_curves(run: RunData | None) -> Curves | None:
-    """The charted signal against time of each metric's least robust rollout."""
-    if run is None or not run.parts or run.running:
-        return None
-    return run.memo.get("metric curves", lambda: _metric_curves(run))
-
-
 def _metric_curves(run: RunData) -> Curves:
+    """The charted signal against time of each metric's least robust rollout."""
     charted = signal_label(run.charted)
     lines = [
         Line(
@@ -121,25 +100,26 @@ def _metric_curves(run: RunData) -> Curves:
         )
         for place, (metric, ranking) in enumerate(_rankings(run)[0].items())
     ]
-    title = f"Each metric's least robust of {run.kept:,} rollouts (one line: the same)"
+    title = "Each metric's least robust rollout"
     return over_time(run, title, lines, touch_color=VERMILLION)
 
 
 def runs_page(runs: Sequence[RunData]) -> str:
     """Runs side by side: answers, figures, and the settings in which they differ."""
     if len(runs) < 2:
-        words = "Add a run above to see it beside the run shown: up to six side by side."
-        return page(wide(heading("Runs side by side") + quiet(words)))
+        return quiet(f"Tick 2 to {MOST_RUNS} runs to see them side by side.")
     named = [(f"{letter}  {run.name}", run.result) for letter, run in _lettered(runs)]
     doubted = any(run_interval_caveats(run.result) for run in runs)
     kind = "intervals (dashed: not a 95 % interval)" if doubted else "95 % intervals"
     chart = runs_chart(named, limit=None)
     drawn = [] if chart is None else [Figure(chart, caption=f"P(violation) with {kind}.")]
     rows = tuple((f"{letter}  {run.name}", *_figures(run)) for letter, run in _lettered(runs))
-    return page(
-        cell(blocks_html(drawn)),
-        cell(blocks_html([settings_table(runs)])),
-        wide(blocks_html([Table(ESTIMATES, rows, name="Estimates of the runs")])),
+    curves = run_curves(runs)
+    return cells(
+        "" if curves is None else curves_svg(curves),
+        blocks_html(drawn),
+        blocks_html([settings_table(runs)]),
+        blocks_html([Table(ESTIMATES, rows, name="Estimates of the runs")]),
     )
 
 
@@ -205,93 +185,3 @@ def run_curves(runs: Sequence[RunData]) -> Curves | None:
         lines=tuple(lines),
         y_range=(0.0, 1.0),
     )
-
-
-class CompareTab:
-    """This browser's choice of further runs."""
-
-    def __init__(self, browser: Browser) -> None:
-        self._browser = browser
-        self._run: RunData | None = None
-        self._others: dict[str, RunData] = {}
-        self._names: tuple[str, ...] = ()
-        self.waiting = False
-        gui = browser.client.gui
-        self.add = gui.add_dropdown("Compare with", list[str]([NONE]), initial_value=NONE,
-            hint=ADD_HINT)  # fmt: skip
-        self.remove = gui.add_dropdown("Take away", list[str]([NONE]), initial_value=NONE,
-            hint=REMOVE_HINT, visible=False)  # fmt: skip
-        self.add.on_update(browser.on(self._add))
-        self.remove.on_update(browser.on(self._remove))
-        self._curves = Chart(browser)
-        self._runs = gui.add_html("")
-        self._gaps = Chart(browser)
-        self.score = gui.add_button("Compare metrics", visible=False, color="gray",
-            hint=SCORE_HINT)  # fmt: skip
-        self.score.on_click(browser.on(self._score))
-        self._scored: RunData | None = None
-        self._metrics = gui.add_html("")
-
-    def refresh(self, run: RunData | None) -> None:
-        """Show a run, when there is time for it."""
-        self._run = run
-        self._browser.later(self._show)
-
-    def list_runs(self, names: tuple[str, ...]) -> None:
-        """Offer other runs."""
-        self._names = names
-        self._offer()
-
-    def _offer(self) -> None:
-        chosen = list(self._others)
-        for dropdown, options in (
-            (self.add, (NONE, *(name for name in self._names if name not in chosen))),
-            (self.remove, (NONE, *chosen)),
-        ):
-            if dropdown.options != options:
-                dropdown.options = options
-            dropdown.value = NONE
-        self.remove.visible = bool(chosen)
-        self.add.disabled = len(chosen) >= MOST_RUNS - 1
-
-    def _add(self) -> None:
-        name, hub = self.add.value, self._browser.hub
-        if name == NONE or len(self._others) >= MOST_RUNS - 1:
-            return
-        try:
-            self._others[name] = hub.loaded.get(hub.recordings.folder(name))
-        finally:
-            self._offer()
-        self._show()
-
-    def _remove(self) -> None:
-        self._others.pop(self.remove.value, None)
-        self._offer()
-        self._show()
-
-    def _show(self) -> None:
-        runs = [] if self._run is None else [self._run, *self._others.values()]
-        with self._browser.client.atomic():
-            self._curves.show(run_curves(runs))
-            self._runs.content = runs_page(runs)
-            self._show_metrics()
-
-    def _score(self) -> None:
-        self._scored = self._run
-        self._show_metrics()
-
-    def go_on(self) -> None:
-        """Tell how far the metrics are, while they are computed."""
-        if self.waiting:
-            self._show_metrics()
-
-    def _show_metrics(self) -> None:
-        run = self._run
-        state = comparing(run, wanted=run is not None and run is self._scored)
-        self.waiting = isinstance(state, ScanProgress)
-        self.score.visible = state is False
-        self._gaps.show(metric_curves(run) if state is True else None)
-        if isinstance(state, ScanProgress):
-            self._metrics.content = page(wide(quiet(f"Scored: {progress_words(state)}.")))
-        else:
-            self._metrics.content = metrics_page(run) if state else ""

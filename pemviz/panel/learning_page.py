@@ -1,4 +1,4 @@
-"""The Learning tab: how the proposal forms, and what the estimate makes of it."""
+"""The Learning page: how the proposal forms, and what the estimate makes of it."""
 
 import math
 from collections.abc import Sequence
@@ -7,9 +7,8 @@ import numpy as np
 
 from pemviz.charts.svg import Axis, Plot
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
-from pemviz.panel.browser import Browser
-from pemviz.panel.curve_chart import Chart, Curves, Line, over_common
-from pemviz.panel.page import cell, number, page, quiet, wide
+from pemviz.panel.curve_chart import Curves, Line, curves_svg, over_common
+from pemviz.panel.pieces import cells, number, quiet
 from pemviz.panel.run_data import RunData
 from pemviz.runs.result import StageSummary
 from pemviz.runs.uncertainty import run_interval_caveats
@@ -25,16 +24,9 @@ DOUBTED = "3 3"
 """How an interval is dashed that is no 95 % interval."""
 
 
-def learning(run: RunData | None) -> str:
-    """All plots of the tab."""
-    if run is None:
-        return page(wide(quiet("Nothing has run yet.")))
+def learning(run: RunData) -> str:
+    """What there is to see, in a few sentences, and all charts."""
     return run.memo.get("learning", lambda: _learning(run))
-
-
-def learning_words(run: RunData | None) -> str:
-    """What there is to see, in a few sentences."""
-    return "" if run is None else page(wide(quiet(run.method.learning_words)))
 
 
 def _learning(run: RunData) -> str:
@@ -49,12 +41,14 @@ def _learning(run: RunData) -> str:
     elif several:
         unit = "" if run.config.metric == "agm" else " [m]"
         plots += [_threshold_plot(stages, unit=unit), _failure_plot(stages), _ess_plot(stages)]
-    return page(*map(cell, plots))
+    curves = proposal_curves(run)
+    drawn = "" if curves is None else curves_svg(curves)
+    return quiet(method.learning_words) + cells(drawn, *plots)
 
 
-def proposal_curves(run: RunData | None) -> Curves | None:
+def proposal_curves(run: RunData) -> Curves | None:
     """The newest proposal, some of those before it, and the error model."""
-    if run is None or not run.gap_m.size:
+    if not run.gap_m.size:
         return None
     method = run.method
     newest_first = [] if method.follows_model else list(reversed(run.final_curves))
@@ -209,18 +203,3 @@ def _stage_axis(stages: Sequence[StageSummary], each: str = "stage") -> Axis:
 def _logs(*values: float | None) -> list[float]:
     """Decimal logarithms of those figures that are there, finite and above 0."""
     return [math.log10(v) for v in values if v is not None and 0.0 < v < math.inf]
-
-
-class LearningTab:
-    """How the proposal forms."""
-
-    def __init__(self, browser: Browser) -> None:
-        self._words = browser.client.gui.add_html("")
-        self._curves = Chart(browser)
-        self._page = browser.client.gui.add_html("")
-
-    def refresh(self, run: RunData | None) -> None:
-        """Show a run."""
-        self._words.content = learning_words(run)
-        self._curves.show(proposal_curves(run))
-        self._page.content = learning(run)

@@ -1,0 +1,42 @@
+"""Pieces of HTML that the pages of a run are made of."""
+
+import math
+
+from pemviz.panel.run_data import ScanProgress
+from pemviz.reports.html import paragraph
+
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number in few digits, a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        power = str(int(exponent)).translate(SUPERSCRIPT)
+        return f"{mantissa} {TIMES} 10{power}".replace("-", MINUS)
+    return f"{value:.{digits}g}".replace("-", MINUS)
+
+
+def percent(value: float) -> str:
+    """A share from 0 to 1 in per cent."""
+    points = 100.0 * value
+    return f"{points:.0f} %" if points >= 9.95 or points == 0.0 else f"{number(points, 2)} %"
+
+
+def quiet(words: str) -> str:
+    """An explanation."""
+    return paragraph(words, "quiet")
+
+
+def cells(*bodies: str) -> str:
+    """Pieces that stand beside each other where there is room, without those that are empty."""
+    return "".join(f"<section>{body}</section>" for body in bodies if body)
+
+
+def progress_words(progress: ScanProgress) -> str:
+    """How far a look at all rollouts is."""
+    return f"{progress.done:,} of {progress.count:,} rollouts"

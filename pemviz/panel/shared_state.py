@@ -1,0 +1,56 @@
+"""What all pages are told as it changes: the run shown, and how far the one under way is."""
+
+from pemviz.panel.controller import PanelState, Progress
+from pemviz.panel.run_summary import summary
+from pemviz.panel.site import Json
+
+
+def shared_state(state: PanelState) -> Json:
+    """The state as a page gets it."""
+    run, progress = state.run, state.progress
+    return {
+        "running": state.running,
+        "stopping": state.stopping,
+        "error": state.error,
+        "words": status_words(state),
+        "share": None if progress is None else progress.share,
+        "run": None if run is None else run.name,
+        "kept": 0 if run is None else run.kept,
+        "summary": None if run is None else summary(run.result, running=run.running),
+        "finished": state.finished_runs,
+    }
+
+
+def status_words(state: PanelState) -> str:
+    """What runs, and how far it is."""
+    if not state.running:
+        return "Ready."
+    if state.stopping:
+        return "Stopping; what is finished is kept."
+    if state.progress is None:
+        return "Starting\N{HORIZONTAL ELLIPSIS}"
+    return _progress_text(state.progress)
+
+
+def _progress_text(progress: Progress) -> str:
+    if progress.goes_on:
+        words = f"Stage {progress.stage}"
+    elif progress.stages == 1:
+        words = "Simulating"
+    else:
+        words = f"Stage {min(progress.stage, progress.stages - 1)} of {progress.stages - 1}"
+    if progress.repetitions > 1:
+        words = f"Repetition {progress.repetition + 1} of {progress.repetitions}, {words.lower()}"
+    if progress.by_level:
+        words += f": {progress.share:.0%} of the way to violations"
+    elif progress.goes_on:
+        words += f": {progress.done:,} rollouts, until the interval is as narrow as asked"
+    else:
+        words += f": {progress.done:,} of {progress.planned:,} rollouts"
+    left_s = progress.left_s
+    if left_s is None:
+        return words
+    left = f"{max(1, round(left_s))} s"
+    if left_s >= 90.0:
+        left = f"{round(left_s / 60)} min" if left_s < 5400.0 else f"{left_s / 3600:.1f} h"
+    return f"{words}, about {left} left"
