@@ -84,12 +84,6 @@ def read_tracker(text: str) -> TrackerSettings | None:
     return settings
 
 
-def tracker_options(settings: TrackerSettings) -> list[str]:
-    """The options of its filter that are given, NAME=VALUE each."""
-    given = {name: getattr(settings, name) for name in OF_FILTER[settings.filter]}
-    return [f"{name.replace('_', '-')}={v!r}" for name, v in given.items() if v is not None]
-
-
 def _value(name: str, word: str) -> Any:
     """The option's value, of the type that its field has."""
     annotation = optional_value(get_type_hints(TrackerSettings, include_extras=True)[name])

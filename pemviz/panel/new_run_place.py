@@ -16,7 +16,6 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_preset, preset_names, preset_words, with_own_rules
 from pemviz.errors import InputError
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.hub import Hub
 from pemviz.panel.form_checks import (
     Placed,
     complaints,
@@ -39,6 +38,7 @@ from pemviz.panel.form_fields import (
     typed_values,
     unused,
 )
+from pemviz.panel.hub import Hub
 from pemviz.panel.run_data import RunData
 from pemviz.panel.site import Page, Request
 from pemviz.reports.run_document import scenario_text

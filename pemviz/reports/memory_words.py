@@ -189,21 +189,6 @@ def frailty_line(memory: RunMemory | None) -> str | None:
     return f"So is {assumptions}.{_worth(memory, BY_FRAILTY)}"
 
 
-def assumption_worth(memory: RunMemory | None) -> str:
-    """The assumption and what it is worth, in one short sentence; empty without a curve."""
-    if memory is None or not memory.curve or memory.measured:
-        return ""
-    words = "Misses are taken as independent given the state."
-    if memory.tau_s > 0.0 and memory.frailty > 0.0:
-        frailty = f"a frailty of {memory.frailty:g}"
-        words = f"A memory time of {memory.tau_s:g} s and {frailty} are assumptions."
-    elif memory.tau_s > 0.0:
-        words = f"A memory time of {memory.tau_s:g} s is an assumption."
-    elif memory.frailty > 0.0:
-        words = "Misses are taken as independent given the state and the obstacle."
-    return words + _worth(memory, BY_MEMORY_TIME)
-
-
 def _by_place(memory: RunMemory, axis: CurveAxis) -> dict[float, CurvePoint]:
     return {axis.place(point): point for point in axis.points(memory)}
 

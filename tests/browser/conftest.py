@@ -145,8 +145,6 @@ def panel(tmp_path, first_run):
     made.close()
 
 
-
-
 def complaint(message) -> list[str]:
     """What the console tells of trouble that is ours."""
     ours = message.type in ("error", "warning") and not VISERS_OWN.search(message.text)

@@ -14,9 +14,9 @@ from pemviz.config.toml_files import load_preset, preset_names, with_own_rules
 from pemviz.errors import InputError
 from pemviz.panel import form_checks
 from pemviz.panel.arguments import Arguments
-from pemviz.panel.hub import Hub
 from pemviz.panel.controller import Controller
 from pemviz.panel.form_fields import LONGEST, RULE, START, config_of, form_fields, typed_values
+from pemviz.panel.hub import Hub
 from pemviz.panel.new_run_place import Base, NewRunPlace, command
 from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.panel.runs_place import RunsPlace
