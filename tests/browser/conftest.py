@@ -61,9 +61,10 @@ def absent(reason: str):
 @pytest.fixture(scope="module")
 def chromium():
     try:
-        from playwright.sync_api import sync_playwright  # noqa: PLC0415  may be absent
+        from playwright.sync_api import expect, sync_playwright  # noqa: PLC0415  may be absent
     except ImportError:
         absent("playwright is not installed (pip install playwright)")
+    expect.set_options(timeout=WAIT_MS)  # a machine that is busy is slow, not wrong
     with sync_playwright() as playwright:
         own = playwright.chromium.executable_path
         names = ("chromium", "chromium-browser", "google-chrome")
