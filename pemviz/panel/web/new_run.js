@@ -134,8 +134,10 @@ export function NewRun({ at, state, tell }) {
   const seen = form.fields.filter(({ key }) => !hidden.unused.includes(key) || key in typed || key in wrong);
   const isMain = (field) => field.main && !hidden.beside.includes(field.key);
   const advanced = seen.filter((field) => !isMain(field));
-  const open = at.advanced === "1" || advanced.some(({ key }) => key in wrong);
+  const open = at.advanced === "1" || advanced.some(({ key }) => key in wrong || key in check.notes);
   const mistakes = Object.keys(wrong);
+  const links = (keys) => keys.map((key, place) => html`${place > 0 && ", "}${key
+    ? html`<button class="link" onClick=${() => show(key)}>${label(key)}</button>` : wrong[key]}`);
   const stopped = state?.running || starting || mistakes.length > 0;
   const one = (field) => html`<${Field} key=${field.key} field=${field} value=${typed[field.key] ?? form.values[field.key]}
     was=${field.key in typed ? form.values[field.key] : null} set=${(text) => set(field.key, text)} wrong=${wrong[field.key]}
@@ -143,7 +145,7 @@ export function NewRun({ at, state, tell }) {
   const label = (key) => form.fields.find((field) => field.key === key)?.label ?? key;
   const told = form.fields.find((field) => field.key === about);
 
-  return html`<main class="new" onFocusIn=${(event) => event.target.dataset?.key && setAbout(event.target.dataset.key)}>
+  return html`<main class="new" onfocusin=${(event) => event.target.dataset?.key && setAbout(event.target.dataset.key)}>
     <section class="fields" aria-label="New run">
       ${MAIN.map(([group, words]) => html`<fieldset key=${group}><legend>${words}</legend><div class="grid">
         ${group === "question" && html`<${Scenario} form=${form} at=${at} choose=${choosePreset} />`}
@@ -168,8 +170,8 @@ export function NewRun({ at, state, tell }) {
       <button class="main" disabled=${stopped} title="Ctrl Enter" onClick=${run}>Run</button>
       ${state?.running && html`<button disabled=${state.stopping} onClick=${() => ask("stop")}>Stop</button>`}
       <span class="says">${starting ? "Starting ..."
-        : mistakes.length ? html`<b class="no">To mend: </b>${mistakes.map((key, place) => html`${place > 0 && ", "}${key
-          ? html`<button class="link" onClick=${() => show(key)}>${label(key)}</button>` : wrong[key]}`)}`
+        : mistakes.length ? html`<b class="no">To mend: </b>${links(mistakes)}`
+        : Object.keys(check.notes).length ? html`<b>To mind: </b>${links(Object.keys(check.notes))}`
         : state?.running ? html`A run is under way: one at a time. <a href=${`#/run/${encodeURIComponent(state.run ?? "")}`}>See it</a>`
         : check.differs.length ? `Differs from ${form.name}: ${check.differs.map((one) => `${one.label} ${brief(one.after, 24)}`).join("; ")}`
         : `As ${form.name}`}</span>
