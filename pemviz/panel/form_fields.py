@@ -11,7 +11,7 @@ from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pemviz.config import BLACK_BOXES, SHIPPED_SIMULATORS, ExperimentConfig, StartChoice
-from pemviz.config.ranges import NamedPart, allowed_text, allows_none, field_docs, optional_value
+from pemviz.config.ranges import NamedPart, allows_none, field_docs, optional_value
 from pemviz.config.rule_words import read_rules, read_starts, rules_text
 from pemviz.config.settings import RULE_NAME
 from pemviz.config.topics import topic_of
@@ -77,7 +77,6 @@ class FormField:
         main: Whether it is in sight before anything advanced is asked for.
         choices: Values of which it has one; empty of what is typed.
         open: Whether it may have another value than these: a file.
-        allowed: What it accepts, in words.
         help: What it means, with unit and range.
         may_be_empty: Whether it may be left out.
     """
@@ -90,7 +89,6 @@ class FormField:
     kind: Kind
     choices: tuple[str, ...]
     open: bool
-    allowed: str
     help: str
     may_be_empty: bool
 
@@ -233,7 +231,6 @@ def _field(key: str, annotation: Any, words: str) -> FormField:
         kind="lines" if key in (RULE, START) else "choice" if choices else form,
         choices=choices,
         open=is_open,
-        allowed=allowed_text(kind) if is_number else "",
         help=words,
         may_be_empty=allows_none(annotation),
     )
