@@ -20,7 +20,7 @@ from playwright.sync_api import Page, sync_playwright
 
 VIEWPORT = {"width": 1400, "height": 860}
 COLORS = 256
-SCENE_MS = 3_000
+SCENE_MS = 15_000
 """Software rendering needs so long until the first rollout stands in the scene."""
 MEMORY = "img[aria-label='If misses come in bursts'], svg[aria-label*='bursts']"
 
