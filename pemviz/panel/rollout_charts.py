@@ -22,6 +22,8 @@ from pemviz.runs.drawn_rollout import (
     drawn_rollout,
     remembered,
 )
+from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
+from pemviz.simulators.braking.vectorized import GAP
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import within
 from pemviz.simulators.scene import DrawsTracks
@@ -45,6 +47,7 @@ class Track:
     Attributes:
         charted: The signal that the specification is about first.
         values: ``[T]`` of that signal.
+        charted_words: What that signal is.
         limits: What the specification compares that signal with.
         detection: ``[2, T-1]`` P(detected) under the error model, and under the proposal sampled
             from; ``None`` where perception answers several things at a step.
@@ -53,6 +56,7 @@ class Track:
     title: str
     drawn: DrawnRollout
     charted: Signal
+    charted_words: str
     values: FloatArray
     limits: tuple[float, ...]
     detection: FloatArray | None = None
@@ -90,10 +94,18 @@ def track(run: RunData, entry: RankedRow) -> Track:
         f"{entry.misses} misses, stage {entry.stage}, rollout {entry.rollout}",
         drawn=drawn,
         charted=run.charted,
+        charted_words=_charted_words(run),
         values=signals[run.charted.name],
         limits=_limits(run.config, run.charted),
         detection=np.stack(list(sampled)) if detected.ndim == 1 else None,
     )
+
+
+def _charted_words(run: RunData) -> str:
+    words = signal_name(run.charted).capitalize()
+    if run.own is None and run.charted.name == GAP:
+        return f"{words}, from the ego's camera: bumpers touch at {CAMERA_TO_BUMPER_M:g} m"
+    return words
 
 
 def _limits(config: ExperimentConfig, signal: Signal) -> tuple[float, ...]:
@@ -149,7 +161,7 @@ def track_axes(chosen: Track, *, width: int) -> tuple[Plot, Plot, Plot]:
         answers = Axis(len(drawn.slots) + 0.5, 0.5, "", ticks=())
         room = {"left": 100, "title_at": 4}
     return (
-        Plot(title=signal_name(signal).capitalize(), x=time, y=value, **size),
+        Plot(title=chosen.charted_words, x=time, y=value, **size),
         Plot(title="Speeds", x=time, y=speed, **(size | {"right": beside})),
         Plot(title="Perception", x=time, y=answers, **(size | room)),
     )

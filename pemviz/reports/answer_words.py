@@ -146,6 +146,12 @@ def _rate_row(rate: Rate, estimate: Estimate, caveats: Sequence[str]) -> tuple[s
     )
 
 
+def uncertainty_title(result: RunResult) -> str:
+    """Of several rules it is about whether any is broken; each has its own range in their table."""
+    rules = len(result.config.rules)
+    return f"{UNCERTAINTY_TITLE}: any of {rules} rules" if rules > 1 else UNCERTAINTY_TITLE
+
+
 def uncertainty_table(result: RunResult) -> Table | None:
     """Name, both ends and what would narrow it, of each source; ``None`` without any."""
     rows: list[tuple[str, ...]] = []

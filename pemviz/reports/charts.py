@@ -23,7 +23,7 @@ from pemviz.colors import (
     SOURCES,
     VERMILLION,
 )
-from pemviz.reports.answer_words import UNCERTAINTY_TITLE, source_name
+from pemviz.reports.answer_words import source_name, uncertainty_title
 from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.reports.memory_words import CurveAxis, measured_names
 from pemviz.reports.plan_words import z_text
@@ -59,7 +59,7 @@ def uncertainty_chart(result: RunResult) -> IntervalChart | None:
     answer = (marks.Rule(estimate.probability, "the answer", GREEN, marks.SOLID),) * (
         estimate.probability > 0
     )
-    return IntervalChart(UNCERTAINTY_TITLE, rows, PROBABILITY, rules=answer, up_to=1.0)
+    return IntervalChart(uncertainty_title(result), rows, PROBABILITY, rules=answer, up_to=1.0)
 
 
 def interval_chart(result: RunResult, *, limit: float | None) -> IntervalChart | None:

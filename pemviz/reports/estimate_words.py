@@ -141,18 +141,19 @@ def method_text(result: RunResult) -> str:
 def chosen_text(result: RunResult) -> str | None:
     """Why a method that goes on chose what it did, and how far it came; ``None`` of others.
 
-    For instance '0 of the first 240 plain rollouts violate; +- 9.8 %, 20 % asked for'.
+    For instance '0 of the first 240 plain rollouts violate; the interval is +- 9.8 %, 20 % were
+    asked for'.
     """
     config, estimate = result.config, result.estimate
     most = by_name(config.method).most
     if estimate is None or not result.stages or most is None:
         return None
     first, half = result.stages[0], estimate.relative_half_width
-    reached = f"+- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
+    reached = f"the interval is +- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
     words = (
         f"{first.failures} of the first {first.rollouts} plain rollouts violate; "
         f"{reached if math.isfinite(half) else 'no interval'}, {100.0 * config.precision:.3g} % "
-        "asked for"
+        "were asked for"
     )
     if half <= config.precision:
         return words

@@ -6,25 +6,28 @@ from collections.abc import Sequence
 from pemviz.analysis.data_plan import DataPlan, RefitBand, SequencePlan
 from pemviz.analysis.label_plan import BandPlan, LabelPlan
 from pemviz.reports.document import Table
+from pemviz.runs.answers import answers
 from pemviz.runs.result import RunResult
 
 PLAN_TITLE = "What to measure next"
 
 
 def short_rows(result: RunResult) -> list[tuple[str, str]]:
-    """What to collect and what it would bring, a line each; empty without a plan."""
+    """What to collect and what it would bring, a line each, what decides first; empty if none."""
     plan = result.plan
     if plan is None:
         return []
     rows: list[tuple[str, str]] = []
     if plan.labels is not None:
-        rows.append(_labels_row(plan, plan.labels, pem=result.pem.name))
+        rows.append(_labels_row(plan, plan.labels, result=result))
     if plan.refits:
         rows.append(
             (_labels_text(plan.refits), f"the range over {result.pem.name}'s refits halves")
         )
     if plan.sequences is not None:
-        rows.append(_sequences_row(plan.sequences))
+        found = answers(result)
+        first = bool(found) and found[0].open.decided_by.kind == "memory"
+        rows.insert(0 if first else len(rows), _sequences_row(plan.sequences))
     return rows
 
 
@@ -36,7 +39,7 @@ def plan_heading(plan: DataPlan) -> str:
     return f"{PLAN_TITLE} (labels of {kind}; distances to its centre)"
 
 
-def _labels_row(plan: DataPlan, labels: LabelPlan, *, pem: str) -> tuple[str, str]:
+def _labels_row(plan: DataPlan, labels: LabelPlan, *, result: RunResult) -> tuple[str, str]:
     """Labels by band and what they show; where they cannot do, what the detector has to reach."""
     halfway = ", halfway to the answer in powers of ten" if plan.halves else ""
     better_at = [
@@ -51,7 +54,9 @@ def _labels_row(plan: DataPlan, labels: LabelPlan, *, pem: str) -> tuple[str, st
     wanted = _labels_text(labels.bands)
     if not wanted:
         return "nothing: the labels at hand do", shown
-    return wanted, f"{shown} ({labels.power:.0%} sure if {pem} is right)"
+    alone = result.memory is None or result.memory.is_independent
+    granted = f"{result.pem.name} is right{' and misses are independent' * alone}"
+    return wanted, f"{shown} ({labels.power:.0%} sure if {granted})"
 
 
 def _labels_text(bands: Sequence[BandPlan | RefitBand]) -> str:

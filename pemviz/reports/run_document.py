@@ -270,7 +270,7 @@ def _uncertainty(result: RunResult) -> Section | None:
         return None
     words = answer_words.NOT_ADDED_UP
     full = (*figure(chart, caption=words, words=(Paragraph(words),)), table)
-    title = answer_words.UNCERTAINTY_TITLE
+    title = answer_words.uncertainty_title(result)
     return Section("uncertainty", title, figure(chart, words=(table,)), full)
 
 

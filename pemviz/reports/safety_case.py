@@ -218,9 +218,10 @@ def claim_sentence(result: RunResult, *, below: float | None) -> str:
         last = max(highest, key=lambda claim: claim.bound or 0.0)
         return (
             "No failure probability was named to be claimed. What holds under the least that is "
-            f"taken for granted here: below {last.bound:.2g}, if {last.granted}."
+            f"taken for granted here: {_claimed(result)} with a probability below "
+            f"{last.bound:.2g}, if {last.granted}."
         )
-    parts = [f"To be claimed: a run violates the specification with a probability below {below:g}."]
+    parts = [f"To be claimed: {_claimed(result)} with a probability below {below:g}."]
     for verdict in ("shown", "not shown", "not known"):
         granted = [claim.granted for claim in found if claim.verdict == verdict]
         if granted:
@@ -228,17 +229,24 @@ def claim_sentence(result: RunResult, *, below: float | None) -> str:
     return " ".join(parts)
 
 
+def _claimed(result: RunResult) -> str:
+    """What claims are about: of several rules, whether any is broken."""
+    rules = len(result.config.rules)
+    return f"a run breaks any of {rules} rules" if rules > 1 else "a run violates the specification"
+
+
 def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...]:
     found = claims(result, below=below)
     if not found:
         return (Paragraph(claim_sentence(result, below=below)),)
-    columns = ["if", "by", "the failure probability is below", "why not, or what would tell"]
+    columns = ["if", "by", "its probability is below", "why not, or what would tell"]
     rows: list[tuple[doc.Cell, ...]] = []
     for one in found:
         judged = () if one.verdict is None else (doc.Verdict(MARKS[one.verdict], one.verdict),)
         rows.append((one.granted, one.name, one.bound_text, one.note, *judged))
     columns += [] if below is None else [f"below {below:g}"]
-    return (Table(tuple(columns), tuple(rows)),)
+    about = Paragraph(f"How likely {_claimed(result)}:", "quiet")
+    return about, Table(tuple(columns), tuple(rows))
 
 
 def _sampling_step(result: RunResult) -> str:

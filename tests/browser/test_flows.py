@@ -27,7 +27,7 @@ PAGES = {
     "Weights": "How near the cars come",
     "Why": "Misses that cause violations",
     "Metrics": "Overlap of the elites",
-    "Next": "Extrapolated",
+    "Measure next": "Extrapolated",
     "Record": "result.json",
     "Rollouts": "what carries the answer",
 }

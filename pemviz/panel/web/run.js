@@ -7,7 +7,7 @@ import { download, save } from "/save.js";
 
 const PAGES = [
   ["rollouts", "Rollouts"], ["uncertainty", "Uncertainty"], ["learning", "Learning"],
-  ["weights", "Weights"], ["why", "Why"], ["metrics", "Metrics"], ["next", "Next"], ["record", "Record"],
+  ["weights", "Weights"], ["why", "Why"], ["metrics", "Metrics"], ["next", "Measure next"], ["record", "Record"],
 ];
 const AMONG = [["carrying", "what carries the answer"], ["all", "all rollouts"]];
 const FIRST = [["share", "largest contribution"], ["least robust", "least robust"]];
@@ -164,7 +164,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
           <button disabled=${rollout.contact === null} onClick=${() => move(rollout.contact)}>contact</button>
           <span class="grow"></span>
           <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
-          <button onClick=${look}>${view}</button>
+          <button title="Seen from behind or from above (v)" onClick=${look}>view: ${view}</button>
         </div>
         <p class="values" data-step=${step} data-rank=${rollout.rank}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
           ego ${rollout.speeds[step]?.toFixed(1)} m/s, ${rollout.words[step]}</p>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
@@ -236,8 +236,8 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
         <td class="n">${number(row.log_weight)}</td><td class="n">${row.stage}</td></tr>`)}</tbody></table></div>
     ${rows?.count > 0 && html`<p class="quiet bar"><span>${start + 1} to ${Math.min(start + ROWS, rows.count)} of ${rows.count.toLocaleString("en")}${
         rows.among === "carrying" ? " that carry the answer" : ""}</span><span class="grow"></span>
-      <button disabled=${start === 0} onClick=${() => pick(start - ROWS + 1)}>before</button>
-      <button disabled=${start + ROWS >= rows.count} onClick=${() => pick(start + ROWS + 1)}>after</button></p>`}
+      <button disabled=${start === 0} onClick=${() => pick(start - ROWS + 1)}>\u25c2 ranks before</button>
+      <button disabled=${start + ROWS >= rows.count} onClick=${() => pick(start + ROWS + 1)}>ranks after \u25b8</button></p>`}
     ${rollout && html`<div dangerouslySetInnerHTML=${{ __html: rollout.details }}></div>`}
   </div>`;
 }

@@ -220,7 +220,7 @@ def _interval_warnings(
     weak = int((estimates.effective_failures < few_effective).sum())
     if weak:
         warnings.append(
-            f"under {weak} of {members} refits fewer than {few_effective:g} effective rollouts "
+            f"with {weak} of {members} refits fewer than {few_effective:g} effective rollouts "
             "carry the estimate: sample more before trusting the range over refits"
         )
     if members < 2.0 / (1.0 - confidence):
