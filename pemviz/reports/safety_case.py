@@ -245,7 +245,7 @@ def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...
         judged = () if one.verdict is None else (doc.Verdict(MARKS[one.verdict], one.verdict),)
         rows.append((one.granted, one.name, one.bound_text, one.note, *judged))
     columns += [] if below is None else [f"below {below:g}"]
-    about = Paragraph(f"How likely {_claimed(result)}:", "quiet")
+    about = Paragraph(f"How likely it is that {_claimed(result)}:", "quiet")
     return about, Table(tuple(columns), tuple(rows))
 
 

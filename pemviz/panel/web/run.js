@@ -162,6 +162,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
           <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, false)}>\u25c2 miss</button>
           <button disabled=${!rollout.misses.length} onClick=${() => jump(rollout.misses, true)}>miss \u25b8</button>
           <button disabled=${rollout.contact === null} onClick=${() => move(rollout.contact)}>contact</button>
+          <span class="key"><i class="miss"></i>missed <i class="hit"></i>detected</span>
           <span class="grow"></span>
           <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
           <button title="Seen from behind or from above (v)" onClick=${look}>view: ${view}</button>
@@ -236,8 +237,8 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
         <td class="n">${number(row.log_weight)}</td><td class="n">${row.stage}</td></tr>`)}</tbody></table></div>
     ${rows?.count > 0 && html`<p class="quiet bar"><span>${start + 1} to ${Math.min(start + ROWS, rows.count)} of ${rows.count.toLocaleString("en")}${
         rows.among === "carrying" ? " that carry the answer" : ""}</span><span class="grow"></span>
-      <button disabled=${start === 0} onClick=${() => pick(start - ROWS + 1)}>\u25c2 ranks before</button>
-      <button disabled=${start + ROWS >= rows.count} onClick=${() => pick(start + ROWS + 1)}>ranks after \u25b8</button></p>`}
+      <button disabled=${start === 0} onClick=${() => pick(start - ROWS + 1)}>\u25c2 before</button>
+      <button disabled=${start + ROWS >= rows.count} onClick=${() => pick(start + ROWS + 1)}>after \u25b8</button></p>`}
     ${rollout && html`<div dangerouslySetInnerHTML=${{ __html: rollout.details }}></div>`}
   </div>`;
 }

@@ -24,7 +24,6 @@ export function Timeline({ chart, rollout, step, to }) {
     ${rollout.contact !== null && html`<i class="contact" style=${{ left: at(rollout.contact) }}></i>`}
     ${events.map(([words, place]) => html`<span class=${place > last / 2 ? "event left" : "event"} style=${{ left: at(place) }}>${words}</span>`)}
     <b style=${{ left: at(step) }}></b>
-    <span class="key"><i class="miss"></i>missed <i class="hit"></i>detected</span>
   </div>`;
 }
 
