@@ -69,8 +69,9 @@ HARDLY_SAMPLED = 3.0
 do."""
 EVEN_SHARE = 0.9
 """Of the violating rollouts, which they count as where failure modes are told apart."""
-WIDE_SHARE = 0.5
-"""Of a main proposal's rollouts, sampled with a larger share of the error model."""
+WIDE_SHARE, OF_STARTS = 0.5, 0.25
+"""Of a main proposal's rollouts, sampled with a larger share of the error model; the second where
+starts are random, which the other proposals spread as well."""
 WIDE_STEPS, WIDEST = 2.0, 0.3
 """Of the steps at which a proposal leaves the error model, how many a wide one takes from it after
 all; its share of the error model at most."""
@@ -181,8 +182,9 @@ def next_proposals(
         for fit in fits_to_failures(one, basis, settings)
     ]
     many = has_many_features(basis, defensive=defensive)
+    alike = pool.latents is None or not pool.latents.start.shape[1]
     if many:
-        main = [one for fit in main for one in _with_wide(fit)]
+        main = [one for fit in main for one in _with_wide(fit, alike=alike)]
     least_share = 0.0 if explores else RELEVANT_SHARE
     hidden = [
         fit
@@ -198,7 +200,7 @@ def next_proposals(
     if explores:
         towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
     blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
-    if many:
+    if many and alike:
         hidden, towards = [_wide(fit) for fit in hidden], [_wide(fit) for fit in towards]
     exploring = [fits for fits in (hidden, blind, towards) if fits]
     rest = 1.0 - EXPLORING_SHARE * len(exploring)
@@ -261,7 +263,7 @@ def fits_to_failures(
     return fits
 
 
-def _with_wide(fit: Fit) -> Sequence[Fit]:
+def _with_wide(fit: Fit, *, alike: bool) -> Sequence[Fit]:
     """The proposal, and in part of its rollouts the same with a larger share of the error model.
 
     Chains of errors are learned from those that were met, and where these missed at every step of
@@ -269,10 +271,11 @@ def _with_wide(fit: Fit) -> Sequence[Fit]:
     too seldom for their share of the probability: each such outcome makes a weight up to 1 / d
     times as large. With few features there are few coefficients, and enough rollouts for them.
     """
-    wide = _wide(fit)
+    wide = _wide(fit) if alike else replace(fit, defensive=LARGEST_SHARE)
+    share = WIDE_SHARE if alike else OF_STARTS
     return (
-        replace(fit, share=(1.0 - WIDE_SHARE) * fit.share),
-        replace(wide, share=WIDE_SHARE * fit.share),
+        replace(fit, share=(1.0 - share) * fit.share),
+        replace(wide, share=share * fit.share),
     )
 
 
