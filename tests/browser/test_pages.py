@@ -71,6 +71,9 @@ def test_a_rollout_is_walked_through_and_a_reload_returns(page, panel, shots):
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.keyboard.press(" ")
     page.frame_locator(".scene").locator("canvas").first.wait_for()
+    page.locator(".scene").click()  # which takes the focus
+    page.keyboard.press("c")
+    expect(values).to_have_attribute("data-step", str(contact))
     page.screenshot(path=shots / "pages-run.png")
     assert fits(page)
 

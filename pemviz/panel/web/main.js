@@ -1,5 +1,5 @@
 // The page: where one is, what is under way, and the place itself.
-import { html, render, useEffect, useState } from "/vendor/htm-preact.js";
+import { html, render, useEffect, useLayoutEffect, useState } from "/vendor/htm-preact.js";
 import * as address from "/address.js";
 import { listen, ask } from "/talk.js";
 import { Runs } from "/runs.js";
@@ -54,7 +54,7 @@ function App() {
     setTheme(next);
   };
   const go = (place, name) => address.write({ place, name });
-  useEffect(() => {
+  useLayoutEffect(() => {
     const typed = (event) => {
       if (event.target.closest("input, textarea, select") || event.ctrlKey || event.metaKey) return;
       const act = {

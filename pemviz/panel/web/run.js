@@ -1,5 +1,5 @@
 // One run: the answer in a strip, the scene with its timeline, the ranked rollouts beside it.
-import { html, useCallback, useEffect, useRef, useState } from "/vendor/htm-preact.js";
+import { html, useCallback, useEffect, useLayoutEffect, useRef, useState } from "/vendor/htm-preact.js";
 import * as address from "/address.js";
 import { ask, token } from "/talk.js";
 import { Charts, Timeline } from "/timeline.js";
@@ -125,7 +125,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
     const found = forward ? places.find((one) => one > now.current) : places.findLast((one) => one < now.current);
     if (found !== undefined) move(found);
   };
-  useEffect(() => {
+  useLayoutEffect(() => {  // no key is lost between what is drawn and what hears of it
     const typed = (event) => {
       if (event.target.closest("input, textarea, select") || event.ctrlKey || event.metaKey || !rollout) return;
       const steps = event.shiftKey ? 10 : 1;
@@ -208,6 +208,9 @@ function Scene() {
     const style = event.target.contentDocument.createElement("style");
     style.textContent = VISER;
     event.target.contentDocument.head.append(style);
+    // keys that are pressed after the scene was turned are meant for the page all the same
+    event.target.contentWindow.addEventListener("keydown", ({ key, shiftKey, ctrlKey, metaKey }) =>
+      document.body.dispatchEvent(new KeyboardEvent("keydown", { key, shiftKey, ctrlKey, metaKey, bubbles: true })));
   };
   return html`<iframe class="scene" title="Scene" src=${`/scene/${token}`} onLoad=${hide}></iframe>`;
 }
