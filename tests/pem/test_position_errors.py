@@ -1,5 +1,7 @@
 """Position errors: the model against scipy's distributions, the fit against drawn tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -169,11 +171,39 @@ def test_the_likelihood_is_scipys_and_its_gradient_right(table, heavy):
     np.testing.assert_allclose(scores[middle], expected[middle], rtol=1e-8)
     values = np.concatenate([axis.mean, axis.log_scale, [np.log(3.0)] if heavy else []])
     wrong = check_grad(
-        lambda v: _mean_nats(v, explained, error, heavy)[0],
-        lambda v: _mean_nats(v, explained, error, heavy)[1],
+        lambda v: _mean_nats(v, explained, error, 0.3, heavy)[0],
+        lambda v: _mean_nats(v, explained, error, 0.3, heavy)[1],
         values,
     )
-    assert wrong < 1e-4 * np.linalg.norm(_mean_nats(values + 0.1, explained, error, heavy)[1])
+    assert wrong < 1e-4 * np.linalg.norm(_mean_nats(values + 0.1, explained, error, 0.3, heavy)[1])
+
+
+@pytest.mark.parametrize("unit_m", [1e-6, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("heavy", [False, True])
+def test_a_fit_is_likelier_than_what_was_drawn_from_in_whatever_unit(table, heavy, unit_m):
+    """An optimum cannot lie below another point: of the likelihood and the prior together."""
+    true = TRUE["range" if heavy else "cross_range"]
+    drawn = replace(
+        true, mean=true.mean * unit_m, log_scale=true.log_scale + np.eye(6)[0] * np.log(unit_m)
+    )
+    explained = error_features(table)
+    error = table.errors[:, 0 if heavy else 1] * unit_m
+
+    def nats(axis):
+        prior = np.sum(axis.mean[1:] ** 2) + np.sum(axis.log_scale[1:] ** 2)
+        return np.mean(error_nats(axis, explained, error)) + 0.5 * prior / len(error)
+
+    assert nats(fit_axis(explained, error, name="range", heavy=heavy)) <= nats(drawn)
+
+
+def test_a_search_that_begins_far_away_does_not_overflow(table):
+    """One error of a million, far from all others: numpy's overflow is an error in these tests."""
+    explained = error_features(table)
+    error = np.full(len(table), 0.1)
+    error[::2] = -0.1
+    error[7] = 1e6
+    for heavy in (False, True):
+        assert np.isfinite(fit_axis(explained, error, name="range", heavy=heavy).log_scale).all()
 
 
 def test_a_fit_finds_what_the_errors_are_drawn_from(fitted):

@@ -33,6 +33,9 @@ ENDS = (0.002, 0.998)
 """Quantiles of distance and bearing beyond which the model is held constant."""
 LOWEST_FREEDOM, HIGHEST_FREEDOM = 1.01, 1000.0
 SMALLEST_SCALE = 1e-9
+FARTHEST_LOG_SCALE, FARTHEST_COEFFICIENT = 20.0, 10.0
+"""How far a fit's search goes from the errors' spread, and in coefficients with the prior of
+deviation 1: no optimum lies there, but a line search's trial steps did, where squares overflow."""
 LAG_FRAMES = (1, 2, 5, 10, 20, 30)
 FEWEST_PAIRS = 100
 FEWEST_LAGS = 3
@@ -116,10 +119,16 @@ def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: b
     spread = float(np.std(error))
     if not spread > SMALLEST_SCALE:
         raise PemError(f"{name}: all {len(error)} errors are {error[0]:g}, there is no spread")
-    start = np.zeros(len(MEAN_FEATURES) + len(SCALE_FEATURES) + heavy)
-    start[0] = np.median(error)
-    start[len(MEAN_FEATURES)] = np.log(0.6 * spread if heavy else spread)
-    bounds = [(None, None)] * (len(MEAN_FEATURES) + len(SCALE_FEATURES))
+    # in units of the spread: in metres, errors of a millimetre bend the sum a million times as
+    # sharply along a mean as along a scale, and the search stops before the optimum
+    standard = error / spread
+    edge = len(MEAN_FEATURES)
+    start = np.zeros(edge + len(SCALE_FEATURES) + heavy)
+    start[0] = np.median(standard)
+    start[edge] = np.log(0.6) if heavy else 0.0
+    of_scale = np.full(len(SCALE_FEATURES), FARTHEST_COEFFICIENT)
+    of_scale[0] = FARTHEST_LOG_SCALE
+    bounds = [(None, None)] * edge + list(zip(-of_scale, of_scale, strict=True))
     if heavy:
         start[-1] = np.log(4.0)
         bounds += [(np.log(LOWEST_FREEDOM), np.log(HIGHEST_FREEDOM))]
@@ -128,7 +137,7 @@ def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: b
     found = minimize(
         _mean_nats,
         start,
-        args=(explained, error, heavy),
+        args=(explained, standard, spread, heavy),
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
@@ -136,19 +145,20 @@ def fit_axis(explained: ErrorFeatures, error: FloatArray, *, name: str, heavy: b
     )
     if not np.isfinite(found.fun):
         raise PemError(f"{name}: the fit does not settle ({found.message})")
-    edge = len(MEAN_FEATURES)
+    log_scale = found.x[edge : edge + len(SCALE_FEATURES)].copy()
+    log_scale[0] += np.log(spread)
     return ErrorAxis(
         name=name,
-        mean=found.x[:edge].copy(),
-        log_scale=found.x[edge : edge + len(SCALE_FEATURES)].copy(),
+        mean=spread * found.x[:edge],
+        log_scale=log_scale,
         degrees_of_freedom=float(np.exp(found.x[-1])) if heavy else GAUSSIAN,
     )
 
 
 def _mean_nats(
-    values: FloatArray, explained: ErrorFeatures, error: FloatArray, heavy: bool
+    values: FloatArray, explained: ErrorFeatures, error: FloatArray, spread: float, heavy: bool
 ) -> tuple[float, FloatArray]:
-    """Negative log posterior an error [nats], and its gradient."""
+    """Negative log posterior an error [nats], and its gradient, of errors in units of spread."""
     edge = len(MEAN_FEATURES)
     log_scale = explained.of_scale @ values[edge : edge + len(SCALE_FEATURES)]
     inverse = np.exp(-log_scale)
@@ -170,9 +180,10 @@ def _mean_nats(
     gradient = np.concatenate(
         [-explained.of_mean.T @ (pull * inverse), explained.of_scale.T @ (1.0 - pull * standard)]
     ) / len(error)
-    prior = np.array(values[: edge + len(SCALE_FEATURES)])
-    prior[[0, edge]] = 0.0
-    gradient += prior / len(error)
+    unit = np.concatenate([np.full(edge, spread), np.ones(len(SCALE_FEATURES))])
+    unit[[0, edge]] = 0.0  # the first of mean and log scale have no prior
+    prior = unit * values[: len(unit)]
+    gradient += unit * prior / len(error)
     return float(np.mean(nats) + 0.5 * (prior @ prior) / len(error)), np.append(gradient, tail)
 
 
