@@ -105,7 +105,7 @@ def test_every_page_of_the_panel_fits_the_method(method, shown):
     for page in (
         learned, explained,
         compare_page.metrics_page(run), compare_page.runs_page([run, run]),
-        weights_page.weights_page(run, target="x"),
+        weights_page.weights_page(run),
     ):  # fmt: skip
         ET.fromstring(f"<all>{page.replace('<br>', '<br/>')}</all>")  # noqa: S314  our own
     assert summary(run.result)["method"] == method.name

@@ -1,6 +1,6 @@
 """Violations that can begin at any time, and frequent ones, against closed forms."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,66 +11,9 @@ from pemviz.sampling.mixture.balance_heuristic import PLAIN
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.stages import watching
-from pemviz.sampling.problem import Problem, sample
-from pemviz.types import Signal, StateBatch
-from tests.toy import ConstantPem, carried_out, stepped_through
-
-STEPS = 100
-
-
-@dataclass(frozen=True)
-class MissesInARow:
-    """It fails where so many misses follow each other, at any time; else every step is alike.
-
-    Attributes:
-        needed: How many.
-        shown: Whether the gap shows how many are missing still; else it is 1 until they are there.
-    """
-
-    needed: int = 1
-    shown: bool = False
-    states: int = STEPS + 1
-    name: str = "misses-in-a-row"
-    dt_s: float = 1.0
-
-    @property
-    def signals(self):
-        return (Signal(name="gap", key="gap", unit="", low=0.0, high=float(self.needed)),)
-
-    def initial(self, *, count):
-        return self._states(np.zeros((), dtype=np.int64), np.zeros(count))
-
-    def step(self, states, detected):
-        row = states.memory["row"]
-        missed = np.where(detected, 0.0, row + 1.0)
-        return self._states(states.step + 1, np.where(row >= self.needed, row, missed))
-
-    def _states(self, step, row):
-        left = self.needed - row
-        gap = left if self.shown else (left > 0.0) * 1.0
-        return StateBatch(step=step, signals={"gap": gap}, memory={"row": row})
-
-    def salient(self, signals):
-        return signals["gap"][..., None]
-
-
-def probability(system, miss):
-    """That so many misses follow each other, by how many do so far."""
-    row = np.zeros(system.needed)
-    row[0] = 1.0
-    for _ in range(STEPS):
-        row = np.concatenate([[row.sum() * (1.0 - miss)], row[:-1] * miss])
-    return 1.0 - float(row.sum())
-
-
-def problem_of(system, miss):
-    return Problem(
-        simulator=system,
-        pem=ConstantPem(miss),
-        robustness=lambda signals: signals["gap"].min(axis=1) - 0.5,
-        violated=None,
-        unsafe=lambda states: states.signals["gap"] < 0.5,
-    )
+from pemviz.sampling.problem import sample
+from tests.misses_in_a_row import STEPS, MissesInARow, probability, problem_of
+from tests.toy import carried_out, stepped_through
 
 
 def test_one_miss_is_geometric_waiting():

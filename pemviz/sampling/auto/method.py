@@ -239,8 +239,8 @@ class AutoSampling:
         """Before the last stage: as many rollouts more as the answer so far asks for."""
         found = method.preview(inner)
         drawn, left, least = self._counts(state, method, inner)
-        # many features take more rollouts to learn than a first answer shows
-        barely_learned = inner.many_features and method.rollouts == self.mixture.rollouts
+        # what is hard to learn takes more rollouts than a first answer shows
+        barely_learned = inner.is_hard_to_learn and method.rollouts == self.mixture.rollouts
         if barely_learned or self._is_far(found):
             longer = self._longer(method, left=left, least=least)
             if longer is not None:

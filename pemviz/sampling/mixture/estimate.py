@@ -15,7 +15,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
 from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
-    MANY_FEATURES_ADAPTATION,
+    HARD_ADAPTATION,
     SEARCHED_ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
     importance_sampling_estimate,
@@ -41,14 +41,14 @@ LogEstimate = tuple[float, float]
 """Log of an estimate and of its standard error."""
 
 
-def adaptation(*, turns: int, starts: int, searched: bool, many: bool) -> float:
+def adaptation(*, turns: int, starts: int, searched: bool, hard: bool) -> float:
     """The factor on the standard error, by outcomes of a step and latents at the start.
 
-    ``searched`` is whether chains have searched the latents, ``many`` whether proposals look at
-    many features and rollouts all start alike.
+    ``searched`` is whether chains have searched the latents, ``hard`` whether proposals are
+    hard to learn (:attr:`~pemviz.sampling.mixture.stages.MixtureState.is_hard_to_learn`).
     """
-    if many:
-        return MANY_FEATURES_ADAPTATION
+    if hard:
+        return HARD_ADAPTATION
     if turns > 1 and starts > 1:
         return SLOTS_AND_STARTS_ADAPTATION
     return SEARCHED_ADAPTATION if searched else ADAPTATION

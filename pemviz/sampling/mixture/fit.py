@@ -69,12 +69,12 @@ HARDLY_SAMPLED = 3.0
 do."""
 EVEN_SHARE = 0.9
 """Of the violating rollouts, which they count as where failure modes are told apart."""
-WIDE_SHARE, OF_STARTS = 0.5, 0.25
-"""Of a main proposal's rollouts, sampled with a larger share of the error model; the second where
-starts are random, which the other proposals spread as well."""
-WIDE_STEPS, WIDEST = 2.0, 0.3
-"""Of the steps at which a proposal leaves the error model, how many a wide one takes from it after
-all; its share of the error model at most."""
+WIDE_SHARE = 0.25
+"""Of a main proposal's rollouts, sampled with a larger share of the error model."""
+FEW_STEPS, WIDEST, WIDEST_SHARE = 8.0, 0.3, 0.5
+"""Where rollouts all start alike and main proposals leave the error model in fewer steps than
+these, the share of the error model, and of the rollouts that take it: over few steps a large one
+hardly makes failures rarer, and one detection more is a large part of such a chain."""
 HIDDEN_LEAST_SCATTER, HIDDEN_PRICE = 2.0, 0.3
 KNOWN_ESS = 10.0
 """A failure mode is explored until its weights have this effective sample size."""
@@ -129,6 +129,11 @@ class Fit:
     departure: float = 0.0
 
     @property
+    def is_short(self) -> bool:
+        """Whether it leaves the error model for few steps."""
+        return self.departure < FEW_STEPS
+
+    @property
     def moves(self) -> FittedMoves:
         """How it leaves the error model."""
         return FittedMoves(self.coefficients, self.means, self.rule, self.defensive)
@@ -181,10 +186,12 @@ def next_proposals(
         for one in met
         for fit in fits_to_failures(one, basis, settings)
     ]
-    many = has_many_features(basis, defensive=defensive)
-    alike = pool.latents is None or not pool.latents.start.shape[1]
-    if many:
-        main = [one for fit in main for one in _with_wide(fit, alike=alike)]
+    hard = False
+    if has_many_features(basis, defensive=defensive):
+        alike = pool.latents is None or not pool.latents.start.shape[1]
+        hard = alike and all(fit.is_short for fit in main)
+        share, wide = (WIDEST_SHARE, WIDEST) if hard else (WIDE_SHARE, LARGEST_SHARE)
+        main = [one for fit in main for one in _with_wide(fit, share=share, defensive=wide)]
     least_share = 0.0 if explores else RELEVANT_SHARE
     hidden = [
         fit
@@ -200,8 +207,9 @@ def next_proposals(
     if explores:
         towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
     blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
-    if many and alike:
-        hidden, towards = [_wide(fit) for fit in hidden], [_wide(fit) for fit in towards]
+    if hard:
+        hidden = [replace(fit, defensive=WIDEST) for fit in hidden]
+        towards = [replace(fit, defensive=WIDEST) for fit in towards]
     exploring = [fits for fits in (hidden, blind, towards) if fits]
     rest = 1.0 - EXPLORING_SHARE * len(exploring)
     return (
@@ -263,7 +271,7 @@ def fits_to_failures(
     return fits
 
 
-def _with_wide(fit: Fit, *, alike: bool) -> Sequence[Fit]:
+def _with_wide(fit: Fit, *, share: float, defensive: float) -> Sequence[Fit]:
     """The proposal, and in part of its rollouts the same with a larger share of the error model.
 
     Chains of errors are learned from those that were met, and where these missed at every step of
@@ -271,21 +279,10 @@ def _with_wide(fit: Fit, *, alike: bool) -> Sequence[Fit]:
     too seldom for their share of the probability: each such outcome makes a weight up to 1 / d
     times as large. With few features there are few coefficients, and enough rollouts for them.
     """
-    wide = _wide(fit) if alike else replace(fit, defensive=LARGEST_SHARE)
-    share = WIDE_SHARE if alike else OF_STARTS
     return (
         replace(fit, share=(1.0 - share) * fit.share),
-        replace(wide, share=share * fit.share),
+        replace(fit, share=share * fit.share, defensive=defensive),
     )
-
-
-def _wide(fit: Fit) -> Fit:
-    """The proposal with a share of the error model that is the larger, the fewer steps it moves.
-
-    Over few steps a large one hardly makes failures rarer.
-    """
-    share = min(WIDE_STEPS / max(fit.departure, 1.0), WIDEST)
-    return replace(fit, defensive=max(share, LARGEST_SHARE))
 
 
 def _fit_blindly(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:

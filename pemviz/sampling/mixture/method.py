@@ -14,10 +14,10 @@ The first stage draws from a broad family of exploration proposals
 (:mod:`pemviz.proposals.exploration`), which is q_0 as a whole, and every later one a share of its
 rollouts. So many as pay are plain rollouts, from p itself
 (:mod:`pemviz.sampling.mixture.plain`). The rest come from the newest proposal fitted to the
-violations; where they look at more than three features part of them have d raised (half, to two
-of the steps that a failure takes and 0.3 at most; a quarter, to 0.1, where starts are random); in
-the first half of the stages, while the weights do not tell the probability of a violation well, a
-quarter of them from one fitted to the lowest level of robustness whose probability they do tell
+violations; where they look at more than three features a quarter of them have d raised to a tenth,
+or, where rollouts all start alike and a failure takes few steps, half of them to 0.3. In the first
+half of the stages, while the weights do not tell the probability of a violation well, a quarter
+come from one fitted to the lowest level of robustness whose probability they do tell
 (:mod:`pemviz.sampling.mixture.fit`).
 Another quarter comes from proposals for failure modes that the newest would hardly draw, in the
 second half only where they carry a thousandth of the estimate already
@@ -414,5 +414,5 @@ def _adaptation(state: MixtureState) -> float:
         turns=state.turns,
         starts=state.starts,
         searched=state.explored is not None,
-        many=state.many_features,
+        hard=state.is_hard_to_learn,
     )

@@ -259,10 +259,10 @@ class MixtureState:
     explored_fits: tuple[Fit, ...] = ()
 
     @property
-    def many_features(self) -> bool:
-        """Whether proposals look at many features, and rollouts all start alike."""
+    def is_hard_to_learn(self) -> bool:
+        """Whether proposals look at many features in few steps, and rollouts all start alike."""
         basis = self.basis
-        if basis is None or self.starts:
+        if basis is None or self.starts or not (self.fits and self.fits[0].is_short):
             return False
         return has_many_features(basis, defensive=defence(self.steps))
 
