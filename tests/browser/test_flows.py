@@ -15,7 +15,7 @@ from pemviz.config.toml_files import load_preset
 from pemviz.panel.controller import Controller
 from pemviz.panel.recordings_folder import Viewers
 from tests.browser.conftest import WAIT_MS, Panel
-from tests.browser.driving import fits, on_the_page, until
+from tests.browser.driving import fits, is_drawn, is_still, on_the_page, until
 from tests.panel.conftest import SMALL, wait_until
 
 pytest.importorskip("viser")
@@ -51,7 +51,7 @@ def test_every_page_of_a_run_has_content_at_every_size(open_page, shots, first_r
         until(page, lambda: all_shown(page))
         page.screenshot(path=shots / f"run-{width}.png")
     canvas = page.frame_locator(".scene").locator("canvas").first
-    assert len(canvas.screenshot()) > 20_000  # drawn, not blank: its pixels differ
+    until(page, lambda: is_drawn(canvas))
 
 
 def test_points_of_the_weights_show_their_rollouts(open_page, panel, first_run):
@@ -88,7 +88,7 @@ def test_a_logical_scenario_is_watched_and_its_rules_are_told_apart(open_page, s
     expect(page.locator(".values")).to_have_attribute("data-rank", "2")
     expect(page.locator(".charts")).to_contain_text("car that cuts in")
     canvas = page.frame_locator(".scene").locator("canvas").first
-    until(page, lambda: len(canvas.screenshot()) > 12_000)  # drawn, not blank
+    until(page, lambda: is_drawn(canvas))
     behind = canvas.screenshot()
     page.keyboard.press("v")
     until(page, lambda: canvas.screenshot() != behind)
@@ -189,7 +189,8 @@ def test_the_recording_opens_in_rerun_in_a_new_tab(chromium, tmp_path, shots):
         until(shown, lambda: any(url.path == "/run.rrd" for url in fetched))
         page.close()
         shown.locator("canvas").wait_for()
-        until(shown, lambda: len(shown.screenshot()) > 40_000)  # drawn, not blank
+        # drawn, not blank, and nothing is added any more
+        until(shown, lambda: len(shown.screenshot()) > 40_000 and is_still(shown))
         shown.screenshot(path=shots / "rerun-in-a-new-tab.png")
         outside = [url for url in fetched if url.scheme != "data" and url.hostname != "127.0.0.1"]
         assert [url for url in outside if url.scheme != "blob"] == []
