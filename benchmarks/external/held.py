@@ -1,5 +1,6 @@
 """What is common to systems of others whose controller goes by the state last detected."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,7 +14,7 @@ ERROR_RANGES = {"err": (-0.3, 0.3), "rate_err": (-3.0, 3.0), "room": (-1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeldState:
+class HeldState(ABC):
     """A cart with a pole: its controller acts on the state as it was when last detected.
 
     Attributes:
@@ -58,13 +59,13 @@ class HeldState:
         state = {n: np.where(going, later[n], values[n]) for n in self.ranges}
         return self._with_errors(state, {f"held_{n}": held[n] for n in self.ranges})
 
+    @abstractmethod
     def later(self, values: Values, wanted: Numbers) -> Values:
         """The state a step on, where the controller's law wants so much."""
-        raise NotImplementedError
 
+    @abstractmethod
     def room(self, state: Values) -> Numbers:
         """What is left until it fails, as a share; below 0 it has."""
-        raise NotImplementedError
 
     def _with_errors(self, state: Values, held: Values) -> Values:
         errors = {

@@ -20,7 +20,7 @@ from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
 from pemviz.panel.scene import scene_html
 from pemviz.panel.site import Page, Request
-from pemviz.panel.weights_page import weights_page
+from pemviz.panel.weights_page import POINTS, weights_page
 from pemviz.panel.why_page import why
 from pemviz.reports.causes_words import shown_chains
 from pemviz.reports.html import sections_html
@@ -44,12 +44,12 @@ SCENE_WORDS = (
     "the controller tracks a car, with an ellipse of two standard deviations where it knows any. "
     "From contact on the cars are grey."
 )
-POINTS, CHAIN, START = "point", "chain", "start"
-"""What can be clicked on a page: a rollout's point, a chain of misses, a violation's start."""
+CHAIN, START = "chain", "start"
+"""What can be clicked beside a rollout's point: a chain of misses, a violation's start."""
 DRAWN: Mapping[str, Callable[[RunData], str]] = {
     "learning": learning,
-    "weights": lambda run: weights_page(run, target=POINTS),
-    "why": lambda run: why(run, targets={CHAIN: CHAIN, START: START}),
+    "weights": weights_page,
+    "why": why,
     "metrics": metrics_page,
 }
 

@@ -18,19 +18,21 @@ from pemviz.reports.html import clicks_to
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 MOST_POINTS = 1_000
+POINTS = "point"
+"""What a click on one of them is called."""
 HEIGHT = 300
 FARTHEST = -60.0
 """Decades below which weights are drawn at the lower edge."""
 LN10 = math.log(10.0)
 
 
-def weights_page(run: RunData, *, target: str) -> str:
-    """The whole page; a click on a point is one on ``target``, with the rollout's index."""
+def weights_page(run: RunData) -> str:
+    """The whole page; a point bears the index of its rollout, and can be clicked."""
     if not run.parts:
         return quiet("No rollouts yet.")
     if run.running:
         return quiet("Drawn when the run under way is done.")
-    weights = run.memo.get(("weights", target), lambda: _weights(run, target=target))
+    weights = run.memo.get("weights", lambda: _weights(run))
     heaviest = heaviest_curves(run)
     waiting = looking_at_gaps(run)
     if waiting is not None:
@@ -62,14 +64,14 @@ def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
     return np.sort(np.concatenate([heavy, rest[places]]))
 
 
-def _weights(run: RunData, *, target: str) -> str:
+def _weights(run: RunData) -> str:
     """The plot of weights over robustness."""
     if not run.method.has_likelihood_ratios:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here.")
     plot, index = _weight_axes(run)
     plot.vline(0.0, color=VERMILLION, label="0")
     shapes = "".join(_point(run, plot, one) for one in index.tolist())
-    group = f"<g {clicks_to(target)} style='cursor:pointer'>{shapes}</g>"
+    group = f"<g {clicks_to(POINTS)}>{shapes}</g>"
     y = plot.height - 6.0
     violates = "\N{MULTIPLICATION X} violates; larger: more of the answer"
     group += text(violates, plot.left, y, color=MISSED)

@@ -1,6 +1,6 @@
 """The Why page: which misses cause violations, and how far to trust the number."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,31 +24,24 @@ MOST_BANDS = 250
 MOST_EXPLAINED = 20_000
 
 
-def why(run: RunData, *, targets: Mapping[str, str] | None = None) -> str:
-    """The whole page.
-
-    Args:
-        run: The run shown.
-        targets: What a click on a chain, or on a rollout in the plane of starts, is called; left
-            out, nothing can be clicked.
-    """
+def why(run: RunData) -> str:
+    """The whole page; chains and rollouts in the plane of starts can be clicked."""
     if run.running:
         return quiet("Explained when the run under way is done.")
-    known = {} if targets is None else targets
-    return run.memo.get(("why", *known.items()), lambda: _why(run, targets=known))
+    return run.memo.get("why", lambda: _why(run))
 
 
-def _why(run: RunData, *, targets: Mapping[str, str]) -> str:
+def _why(run: RunData) -> str:
     document = run_document(run.result)
     sections = document.choose((*WHY, "plan", "warnings", *TRUST[:2], "memory"))
     return cells(
         *_misses(run),
-        *(part for section in sections for part in section_cells(section, targets=targets)),
+        *(part for section in sections for part in section_cells(section)),
         sections_html(document.choose(("assumptions", "extrapolation"))),
     )
 
 
-def section_cells(section: Section, *, targets: Mapping[str, str]) -> list[str]:
+def section_cells(section: Section) -> list[str]:
     """A section in full as pieces that may stand beside each other: a table or chart in each."""
     pieces: list[list[Block]] = [[]]
     for block in section.full:
@@ -57,7 +50,7 @@ def section_cells(section: Section, *, targets: Mapping[str, str]) -> list[str]:
         ):
             pieces.append([])
         pieces[-1].append(block)
-    first, *others = (blocks_html(piece, targets=targets) for piece in pieces)
+    first, *others = (blocks_html(piece, clickable=True) for piece in pieces)
     return [heading(section.title) + first, *others]
 
 

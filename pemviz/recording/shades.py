@@ -23,12 +23,6 @@ def luminance(color: Rgba) -> float:
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
-def contrast(one: Rgba, other: Rgba) -> float:
-    """How much two opaque colours differ: 1 (not at all) to 21 (black and white)."""
-    low, high = sorted(map(luminance, (one, other)))
-    return (high + 0.05) / (low + 0.05)
-
-
 def shade(color: str, *, opacity: int = 255) -> Rgba:
     """``#rrggbb``, darker or lighter as far as either theme needs it; its hue stays."""
     found = luminance(rgba(color))

@@ -47,13 +47,8 @@ SHEET = f"""
   background: {MISSED}; }}
 """
 
-Targets = Mapping[str, str]
-"""What a page calls a click, by the names that blocks have for what is clicked."""
 
-
-def sections_html(
-    sections: Iterable[Section], *, brief: bool = False, targets: Targets | None = None
-) -> str:
+def sections_html(sections: Iterable[Section], *, brief: bool = False) -> str:
     """Sections under their titles; a headline is its own."""
     parts: list[str] = []
     for section in sections:
@@ -62,22 +57,16 @@ def sections_html(
         drawn = isinstance(first, doc.Figure) and first.chart.title == section.title
         if blocks and not drawn and not isinstance(first, doc.Headline | doc.Verdict):
             parts.append(heading(section.title))
-        parts.append(blocks_html(blocks, targets=targets))
+        parts.append(blocks_html(blocks))
     return "".join(parts)
 
 
-def blocks_html(blocks: Iterable[Block], *, targets: Targets | None = None) -> str:
-    """Blocks below each other.
-
-    Args:
-        blocks: What to show.
-        targets: Where clicks on rows and points go; left out, nothing can be clicked.
-    """
-    known = {} if targets is None else targets
-    return "".join(_block(block, known) for block in blocks)
+def blocks_html(blocks: Iterable[Block], *, clickable: bool = False) -> str:
+    """Blocks below each other; whether a page hears of clicks on rows and points that it knows."""
+    return "".join(_block(block, clickable=clickable) for block in blocks)
 
 
-def _block(block: Block, targets: Targets) -> str:  # noqa: PLR0911  one a kind
+def _block(block: Block, *, clickable: bool) -> str:  # noqa: PLR0911  one a kind
     match block:
         case doc.Headline():
             given = paragraph(f"{block.given}.", "quiet") if block.given else ""
@@ -94,15 +83,14 @@ def _block(block: Block, targets: Targets) -> str:  # noqa: PLR0911  one a kind
         case doc.Code():
             return f"<pre>{escape(printable_lines(block.text))}</pre>"
         case doc.Table():
-            return table(block, targets)
+            return table(block, clickable=clickable)
         case doc.Figure():
-            target = targets.get(block.target, "")
-            chart = svg(block.chart, act=clicks_to(target) if target else "")
+            chart = svg(block.chart, act=clicks_to(block.target) if clickable else "")
             caption = f"<figcaption>{words(block.caption)}</figcaption>" if block.caption else ""
             return f"<figure>{chart}{caption}</figure>"
         case doc.Folded():
             title = f"<summary>{words(block.title)}</summary>"
-            return f"<details>{title}{blocks_html(block.blocks, targets=targets)}</details>"
+            return f"<details>{title}{blocks_html(block.blocks, clickable=clickable)}</details>"
 
 
 def words(text: str) -> str:
@@ -126,21 +114,20 @@ def warning(text: str) -> str:
     return f"<div class='warn'>\N{WARNING SIGN} {words(text)}</div>"
 
 
-def table(block: doc.Table, targets: Targets | None = None) -> str:
-    """A table; rows of which a page wants to know write their place into its input."""
-    target = "" if targets is None else targets.get(block.target, "")
+def table(block: doc.Table, *, clickable: bool = False) -> str:
+    """A table; rows that can be clicked bear their place."""
+    click = f" {clicks_to(block.target)}" if clickable and block.target else ""
     heads = "".join(
         f"<th{_number(block, place)}>{words(cell)}</th>" for place, cell in enumerate(block.columns)
     )
     head = f"<thead><tr>{heads}</tr></thead>" if any(block.columns) else ""
     places = [*block.places, *[0] * (len(block.rows) - len(block.places))]
     rows = "".join(
-        (f"<tr role='button' data-number='{place}'>" if target and place else "<tr>")
+        (f"<tr role='button' data-number='{place}'>" if click and place else "<tr>")
         + "".join(f"<td{_number(block, column)}>{_cell(c)}</td>" for column, c in enumerate(row))
         + "</tr>"
         for row, place in zip(block.rows, places, strict=True)
     )
-    click = f" {clicks_to(target)}" if target else ""
     name = f" aria-label='{escape(block.name, quote=True)}'" if block.name else ""
     title = f"<h4>{words(block.name)}</h4>" if block.name else ""
     note = paragraph(block.note, "quiet") if block.note else ""
@@ -148,8 +135,8 @@ def table(block: doc.Table, targets: Targets | None = None) -> str:
 
 
 def clicks_to(target: str) -> str:
-    """Attributes of what holds rows or points with a ``data-number`` each."""
-    return f"data-target='{escape(target, quote=True)}'"
+    """The attribute of what holds rows or points with a ``data-number`` each; empty of none."""
+    return f"data-target='{escape(target, quote=True)}'" if target else ""
 
 
 def _number(block: doc.Table, place: int) -> str:

@@ -57,7 +57,7 @@ def test_every_page_is_well_formed(live_run, loaded_run, naive_run):
             why_page.why(run),
             compare_page.metrics_page(run),
             compare_page.runs_page([run, live_run, naive_run]),
-            weights_page.weights_page(run, target="x"),
+            weights_page.weights_page(run),
         ):
             well_formed(page)
 
@@ -155,7 +155,7 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
         learning_page.learning(run),
         why_page.why(run),
         compare_page.runs_page([run, naive_run]),
-        weights_page.weights_page(run, target="x"),
+        weights_page.weights_page(run),
         compare_page.metrics_page(
             with_result(run, config=replace(run.config, spec=whole.config.spec))
         ),
@@ -367,10 +367,10 @@ def test_the_points_drawn_hold_those_that_carry_the_answer(loaded_run):
 
 
 def test_every_point_bears_the_number_of_its_rollout(loaded_run):
-    drawn = weights_page.weights_page(loaded_run, target="box")
+    drawn = weights_page.weights_page(loaded_run)
     numbers = re.findall(r"data-number='(\d+)'", drawn)
     assert sorted(map(int, numbers)) == list(range(loaded_run.kept))
-    assert drawn.count("data-target='box'") == 1
+    assert drawn.count("data-target='point'") == 1
 
 
 def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):

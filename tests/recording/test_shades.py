@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pemviz import colors
 from pemviz.colors import rgba
 from pemviz.recording import paths
-from pemviz.recording.shades import BACKGROUNDS, ROAD, WORDS, contrast, shade
+from pemviz.recording.shades import BACKGROUNDS, ROAD, WORDS, luminance, shade
 from tests.recording.read_back import chunks
 
 LEAST = 3.0
@@ -16,6 +16,12 @@ LEAST = 3.0
 ON_ASPHALT = ("asphalt", "lines", "cars", "outcomes", "tracks")
 """Parts of the picture from above that stand on a ground of their own."""
 CARRIER = {"Boxes3D", "LineStrips2D", "LineStrips3D", "Points2D", "Points3D", "SeriesLines"}
+
+
+def contrast(one, other) -> float:
+    """How much two opaque colours differ: 1 (not at all) to 21 (black and white)."""
+    low, high = sorted(map(luminance, (one, other)))
+    return (high + 0.05) / (low + 0.05)
 
 
 def least_contrast(color) -> float:

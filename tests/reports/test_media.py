@@ -134,7 +134,7 @@ def test_media_show_all_that_a_section_says(key, printed):
     for medium, text in texts.items():
         for said in words(section.full, pictures=False):
             assert plain(said) in text, (medium, said)
-    pages = (case(run), "".join(section_cells(section, targets={})), sections_html([section]))
+    pages = (case(run), "".join(section_cells(section)), sections_html([section]))
     for html in pages[0 if key not in ("question", "given") else 1 :]:
         for said in words(section.full, pictures=True):
             assert plain(said) in plain(html), said
