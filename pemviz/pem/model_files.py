@@ -24,7 +24,7 @@ from pemviz.faults import exception_text
 from pemviz.files.atomic import is_file, write_bytes
 from pemviz.files.json_text import parse_json
 from pemviz.files.shipped import asset_path
-from pemviz.pem.models.cards import PemCard, card_from_mapping, position_card_from_mapping
+from pemviz.pem.models.cards import Carded, PemCard, card_from_mapping, position_card_from_mapping
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.network import (
     PAPER_INPUTS,
@@ -141,7 +141,7 @@ def ensemble_of(name_or_path: str) -> PemEnsemble | None:
     the file ``own-ensemble.safetensors`` beside it; an ensemble is its own.
 
     Raises:
-        PemError: the ensemble is there but cannot be used.
+        PemError: the ensemble is there but cannot be used, or belongs to another model.
     """
     if name_or_path in shipped_pems():
         partner = f"{name_or_path.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}"
@@ -151,10 +151,27 @@ def ensemble_of(name_or_path: str) -> PemEnsemble | None:
         return None
     beside = path.with_name(f"{path.stem.removesuffix(ENSEMBLE_ENDING)}{ENSEMBLE_ENDING}")
     beside = beside.with_suffix(SUFFIX)
-    if is_file(beside):
-        return load_ensemble(str(beside))
     pem = load_pem(name_or_path)
-    return pem if isinstance(pem, PemEnsemble) else None
+    if not is_file(beside):
+        return pem if isinstance(pem, PemEnsemble) else None
+    ensemble = load_ensemble(str(beside))
+    _check_that_refits(ensemble, pem, beside=beside, path=path)
+    return ensemble
+
+
+def _check_that_refits(ensemble: PemEnsemble, pem: Pem, *, beside: Path, path: Path) -> None:
+    """A file of an earlier fit, left beside a newer one, would answer another question."""
+    if not (isinstance(pem, Carded) and isinstance(ensemble, Carded)):
+        return
+    refits, model = ensemble.card, pem.card
+    told = (refits.data_digest, model.data_digest)
+    if refits.model != model.model:
+        differ = f"of kind {refits.model}, the model {model.model}"
+    elif all(told) and told[0] != told[1]:
+        differ = f"fitted to data of SHA-256 {told[0][:16]}, the model to {told[1][:16]}"
+    else:
+        return
+    raise PemError(f"{beside}: its members are {differ} ({path.name}): fit both anew, or move it")
 
 
 def save_pem(pem: StoredPem, path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import pickle
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,11 +77,26 @@ def test_an_ensemble_answers_with_the_mean_probability():
 
 
 def test_an_ensemble_file_beside_a_model_is_found(tmp_path):
-    save_pem(load_pem("lr"), tmp_path / "own.safetensors")
-    assert ensemble_of(str(tmp_path / "own.safetensors")) is None
+    own = tmp_path / "own.safetensors"
+    save_pem(load_pem("ml-nn"), own)
+    assert ensemble_of(str(own)) is None
     save_pem(load_pem("ml-nn-ensemble"), tmp_path / "own-ensemble.safetensors")
-    found = ensemble_of(str(tmp_path / "own.safetensors"))
-    assert len(found.members) == 20
+    assert len(ensemble_of(str(own)).members) == 20
+
+
+def test_an_ensemble_that_an_earlier_fit_left_is_refused(tmp_path):
+    """Silently used, it would tell how far refits of another model differ."""
+    own, beside = tmp_path / "own.safetensors", tmp_path / "own-ensemble.safetensors"
+    save_pem(load_pem("ml-nn-ensemble"), beside)
+    save_pem(load_pem("lr"), own)
+    with pytest.raises(PemError, match="of kind ml-nn, the model lr"):
+        ensemble_of(str(own))
+    pem = load_pem("ml-nn")
+    save_pem(replace(pem, card=replace(pem.card, data_digest="f" * 64)), own)
+    with pytest.raises(PemError, match="SHA-256 0c06ad539383e8bf, the model to ffffffffffffffff"):
+        ensemble_of(str(own))
+    save_pem(replace(pem, card=replace(pem.card, data_digest="")), own)
+    assert len(ensemble_of(str(own)).members) == 20  # what no one knows is no difference
 
 
 @pytest.mark.parametrize(
