@@ -16,7 +16,7 @@ SMALL = ExperimentConfig(
 NAIVE = replace(SMALL, method="naive", final_rollouts=60)
 
 
-def wait_until(controller: Controller, done=lambda state: not state.running, *, timeout_s=120.0):
+def wait_until(controller: Controller, done=lambda state: not state.running, *, timeout_s=600.0):
     """The controller's state once ``done``; fails after the timeout."""
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
