@@ -54,6 +54,8 @@ FRAIL_DATA_BOUND_ROLLOUTS = 2_000
 """Where obstacles differ: a rollout then takes ten times as long."""
 ENOUGH_FAILURES = 2_000
 """Of which the models' own answers are formed; the models differ by far more than 1/sqrt of it."""
+MOST_FAILURES = 4 * ENOUGH_FAILURES
+"""Of any rule, where one is broken more rarely than the others."""
 SHOWN_ROLLOUTS = 5_000
 """Of which it is checked whether they go where the training data never was."""
 DATA_BOUND_KEY = 2**32 - 2
@@ -249,11 +251,16 @@ def member_estimates(
 ) -> MemberEstimates:
     """The failure probability under each of the ensemble's models, from the same rollouts.
 
-    Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations.
+    Of many rollouts the first are enough: as many as hold ENOUGH_FAILURES violations of each rule,
+    but no more than MOST_FAILURES of any.
     """
-    violations = max(int(scored.violated.sum()), 1)
+    violations = int(scored.violated.sum())
+    rarest = min(map(np.count_nonzero, scored.broken.values()), default=violations)
+    enough = ENOUGH_FAILURES / max(rarest, 1)
+    if violations:
+        enough = min(enough, MOST_FAILURES / violations)
     # as many as hold so many violations, if these come evenly
-    count = math.ceil(min(ENOUGH_FAILURES / violations, 1.0) * scored.violated.size)
+    count = math.ceil(min(enough, 1.0) * scored.violated.size)
     rollouts, violated = scored.rollouts.take(slice(count)), scored.violated[:count]
     failing = rollouts.take(violated)
     log_q = failing.log_q
@@ -266,6 +273,7 @@ def member_estimates(
         violated=violated[violated],
         members=ensemble.members,
         rollouts=rollouts.count,
+        broken={name: some[:count][violated] for name, some in scored.broken.items()},
     )
 
 

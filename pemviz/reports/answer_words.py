@@ -35,11 +35,13 @@ LARGEST_PLAIN = 1e6
 def rule_warnings(result: RunResult) -> Sequence[str]:
     """What is wrong with the answers to single rules and not with the whole answer, with names."""
     of_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
+    of_answer |= set(() if result.pem_interval is None else result.pem_interval.warnings)
     names: dict[str, list[str]] = {}
     for answer in answers(result):
         if answer.rule is None or answer.impossible:
             continue
-        for text in answer.estimate.warnings:
+        refits = answer.rule.refits
+        for text in (*answer.estimate.warnings, *(() if refits is None else refits.warnings)):
             if text not in of_answer:
                 names.setdefault(text, []).append(answer.rule.name)
     return [

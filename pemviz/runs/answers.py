@@ -87,13 +87,15 @@ def rules_in_order(rules: Sequence[Named]) -> Sequence[Named]:
 
 
 def _of_rule(result: RunResult, rule: RuleAnswer, sources: Sequence[UncertaintySource]) -> Answer:
-    """Of a single rule the sampling and the memory of misses are known."""
-    caveats, estimate = interval_caveats(rule.estimate), rule.estimate
+    """Of a single rule the sampling, the refits and the memory of misses are known."""
+    caveats, estimate, refits = interval_caveats(rule.estimate), rule.estimate, rule.refits
     own: list[UncertaintySource] = []
     for source in sources:
         if source.kind == "sampling":
             ends = {"low": estimate.ci_low, "high": estimate.ci_high}
             own.append(replace(source, **ends, note=caveats[0] if caveats else ""))
+        elif source.kind == "refits" and refits is not None:
+            own.append(replace(source, low=refits.low or 0.0, high=refits.high))
         elif source.kind == "memory":
             low, high = ends_of(one.point for one in rule.measured)
             own.append(replace(source, low=low, high=high))

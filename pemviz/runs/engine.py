@@ -16,7 +16,12 @@ from pemviz.config import ExperimentConfig, Rule
 from pemviz.errors import PemvizError, RunError, one_line
 from pemviz.runs import events, supplements
 from pemviz.runs.experiment import Experiment, build_experiment
-from pemviz.runs.interpretation import Interpreted, interpret, interpret_repetition
+from pemviz.runs.interpretation import (
+    Interpreted,
+    interpret,
+    interpret_repetition,
+    refits_of,
+)
 from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
 from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
@@ -209,7 +214,8 @@ class _Runner:
         answers: list[RuleAnswer] = []
         for rule in rules:
             whole = summarise_repetitions([found[rule.name] for found in self._by_rule])
-            answers.append(RuleAnswer(rule.name, rule.formula, whole))
+            refits = refits_of(self._interpreted, rule.name)
+            answers.append(RuleAnswer(rule.name, rule.formula, whole, refits=refits))
         result = replace(
             self._interpreted.result,
             repetitions=estimates,

@@ -183,6 +183,14 @@ def _with_refits(
     return replace(interpreted, result=result, members=members)
 
 
+def refits_of(interpreted: Interpreted, rule: str) -> model_uncertainty.ModelInterval | None:
+    """One of several rules' answers over refits; ``None`` where no rollout breaks it."""
+    each = [one.rules[rule] for one in interpreted.members if rule in one.rules]
+    if not any(one.effective_failures.any() for one in each):
+        return None
+    return model_uncertainty.model_interval(each)
+
+
 def _compared_with_data(
     interpreted: Interpreted, experiment: Experiment, stage: StageResult
 ) -> Interpreted:

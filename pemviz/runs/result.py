@@ -145,6 +145,8 @@ class RuleAnswer:
     estimate: Estimate
     measured: tuple[MeasuredAnswer, ...] = ()
     """As :attr:`RunMemory.measured`."""
+    refits: ModelInterval | None = None
+    """As :attr:`RunResult.pem_interval`."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,14 @@
 """Other models' answers from the same rollouts, against binomial tails."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from pemviz.analysis.model_uncertainty import (
     ENOUGH_FAILURES,
+    MOST_FAILURES,
     extrapolation_warnings,
     member_estimates,
     model_interval,
@@ -57,6 +58,27 @@ def test_every_member_gets_its_own_answer(scored):
         error = weight.std() / math.sqrt(weight.size)
         truth = exact_failure_probability(steps=6, miss_probability=miss)
         assert abs(math.exp(log_mu) - truth) < 4 * error
+
+
+def test_every_member_gets_its_own_answer_to_every_rule(scored):
+    """Weights by hand: (p/q)^misses ((1-p)/(1-q))^hits, q = 1/2, over all rollouts looked at.
+
+    The rarer rule decides how many are: as many as hold enough that break it.
+    """
+    missed = ~scored.rollouts.detected
+    broken = {"any": scored.violated, "all missed": missed.all(axis=1) & scored.violated}
+    assert 0 < broken["all missed"].sum() < scored.violated.sum()
+    ensemble = Models(members=tuple(ConstantPem(miss) for miss in MISS))
+    simulator = SalientMissCounter(states=7)
+    found = member_estimates(replace(scored, broken=broken), simulator=simulator, ensemble=ensemble)
+    seen = scored.violated.size * MOST_FAILURES / scored.violated.sum()
+    seen = math.ceil(min(seen, scored.violated.size))
+    for name, some in broken.items():
+        for log_mu, miss in zip(found.rules[name].log_mu, MISS, strict=True):
+            misses = missed[:seen].sum(axis=1)
+            weight = (2 * miss) ** misses * (2 * (1 - miss)) ** (6 - misses) * some[:seen]
+            assert math.exp(log_mu) == pytest.approx(weight.mean(), rel=1e-9)
+    np.testing.assert_array_equal(found.log_mu, found.rules["any"].log_mu)
 
 
 def test_repetitions_are_pooled_by_their_mean(scored):

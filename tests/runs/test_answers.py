@@ -161,3 +161,23 @@ def test_a_run_looks_unless_it_is_told_not_to(looked_at):
     assert memory.unmeasured == ("" if looked_at else "measured_memory is switched off")
     for one in memory.measured:
         assert one.point.probability == pytest.approx(BY_ZERO_VARIANCE[one.name], rel=0.4)
+
+
+def test_refits_answer_every_rule():
+    """Contact is a gap below 2 m too: refits of the wider rule are those of any of both."""
+    config = ExperimentConfig(
+        method="mixture", rollouts=20, stages=3, final_rollouts=200, measured_memory=False
+    ).with_rules(
+        {"contact": "always[0,99] (gap >= 0.0)", "gap": "always[0,99] (gap >= 2.0)",
+         "far": "always[0,99] (gap >= -1000.0)"}
+    )  # fmt: skip
+    run = run_experiment(config)
+    contact, gap, far = run.rules
+    assert gap.refits == run.pem_interval
+    assert far.refits is None
+    for one, any_rule in zip(contact.refits.log10_answers, gap.refits.log10_answers, strict=True):
+        assert one <= any_rule
+    assert contact.refits.high < gap.refits.high
+    assert result_from_document(result_document(run)) == run
+    answer = next(one for one in answers(run) if one.rule is contact)
+    assert answer.open.low <= contact.refits.low

@@ -5,8 +5,8 @@ from any proposal estimate mu under every model: mu_m = 1/N sum over violating r
 p_m(outcomes | states) / q(outcomes | states).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -28,6 +28,8 @@ class MemberEstimates:
     """Standard error over mu, shape [M]; infinite if no rollout violated."""
     effective_failures: FloatArray
     """Kish's effective number of violating rollouts, shape [M]."""
+    rules: "Mapping[str, MemberEstimates]" = field(default_factory=dict[str, "MemberEstimates"])
+    """The same of each of several rules, where mu is that any is broken."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ def reweight(
     violated: BoolArray,
     members: Sequence[Pem],
     rollouts: int | None = None,
+    broken: Mapping[str, BoolArray] | None = None,
 ) -> MemberEstimates:
     """Estimate mu under each member from the same rollouts.
 
@@ -93,18 +96,27 @@ def reweight(
         members: the models.
         rollouts: how many there are in all, if the arrays hold only some of them, at least
             all that violate; N if None.
+        broken: which rollouts break each of several rules by name, shape [N] each; those that
+            break any violate.
 
     Raises:
         PemError: the shapes do not fit together, or rollouts is below N.
     """
     rollouts = _in_all(rollouts, given=len(violated))
-    log_mu, relative, effective = (np.empty(len(members)) for _ in range(3))
-    for index, member in enumerate(members):
-        log_weight = failing_log_weights(
+    log_weights = [
+        failing_log_weights(
             detected=detected, salient=salient, log_q=log_q, violated=violated, pem=member
         )
-        log_mu[index], relative[index], effective[index] = _summary(log_weight, rollouts=rollouts)
-    return MemberEstimates(tuple(member.name for member in members), log_mu, relative, effective)
+        for member in members
+    ]
+
+    def of(some: BoolArray) -> MemberEstimates:
+        each = [_summary(one[some[violated]], rollouts=rollouts) for one in log_weights]
+        log_mu, relative, effective = np.array(each, dtype=np.float64).reshape(-1, 3).T
+        names = tuple(member.name for member in members)
+        return MemberEstimates(names, log_mu, relative, effective)
+
+    return replace(of(violated), rules={name: of(some) for name, some in (broken or {}).items()})
 
 
 def pem_interval(
