@@ -28,6 +28,7 @@ NOT_ADDED_UP = (
     "Each bar is one source of doubt; they are not added up, as each takes for granted what the "
     "others doubt."
 )
+TAKEN_AS_INDEPENDENT = "each but the memory of misses takes misses as independent of each other"
 LARGEST_PLAIN = 1e6
 """From here on rates are written with an exponent."""
 
@@ -164,7 +165,11 @@ def uncertainty_table(result: RunResult) -> Table | None:
             for end in (source.low, source.high)
         )
         rows.append((source_name(source), low, high, source.narrowed_by))
-    return Table(("by", "from", "to", "narrowed by"), tuple(rows), numbers=(1, 2)) if rows else None
+    if not rows:
+        return None
+    independent = result.memory is not None and result.memory.is_independent
+    columns, note = ("by", "from", "to", "narrowed by"), TAKEN_AS_INDEPENDENT if independent else ""
+    return Table(columns, tuple(rows), numbers=(1, 2), note=note)
 
 
 def source_name(source: UncertaintySource) -> str:

@@ -1,8 +1,8 @@
 """The first words of an answer: how likely, with memories of misses too, and what decides it.
 
-Two numbers come first where misses are taken as independent of each other: the answer if they are,
-and with the memory that was measured on video. Then the range that is honest to act on, and the
-doubt that decides it.
+Two numbers come first where misses are taken as independent of each other: the answer with the
+memory that was measured on video, and if they are independent. Then the range that is honest to act
+on, and the doubt that decides it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -82,10 +82,10 @@ def _two_numbers(answer: Answer, memory: RunMemory | None) -> str:
         return f"{own} {_with_memory(memory)}"
     ends = [end_text(value) for value in dict.fromkeys((*found[:1], *found[-1:]))]
     whose = "measured detectors" if memory.fitted is None else "this error model"
-    beside = f", {' to '.join(dict.fromkeys(ends))} with the memory of {whose}" if ends else ""
-    if not ends and memory.unmeasured:
-        beside = f", {NOT_KNOWN} with a memory"
-    return f"{own} if misses are independent{beside}"
+    independent = f"{own} if misses are independent"
+    if ends:  # first, as it is the one that holds for detectors as they are
+        return f"{' to '.join(dict.fromkeys(ends))} with the memory of {whose}, {independent}"
+    return f"{independent}, {NOT_KNOWN} with a memory" if memory.unmeasured else independent
 
 
 def _with_memory(memory: RunMemory) -> str:
@@ -104,15 +104,13 @@ def _given(result: RunResult) -> str:
 
 
 def range_words(found: OpenRange, result: RunResult) -> tuple[str, str]:
-    """The range to act on, and what decides it."""
+    """The range to act on, its upper end first, and what decides it."""
     source = found.decided_by
     if source.kind == "sampling" and source.note:
         return f"{ACT_ON}nothing yet", f"the sampling does not hold: {source.note}"
     if found.high is not None:
-        ends = f"at most {end_text(found.high)}"
-        if found.low:
-            ends = range_text(found.low, found.high)
-        return f"{ACT_ON}{ends}", f"{DECIDED_BY}{source.name}"
+        from_low = f" (from {end_text(found.low)})" if found.low else ""
+        return f"{ACT_ON}at most {end_text(found.high)}{from_low}", f"{DECIDED_BY}{source.name}"
     why = "" if result.memory is None else result.memory.unmeasured
     why = f" ({why})" if why else ""
     least = "" if not found.low else f"from {end_text(found.low)}, "

@@ -217,7 +217,9 @@ def test_a_stopped_run_has_no_views_of_what_it_did_not_reach(tmp_path):
 def test_texts_tell_answer_config_and_what_is_recorded(learned):
     found = texts(learned.path)
     estimate = learned.result.estimate
-    assert f"Failure probability in one run: {short_probability(estimate)}" in found[paths.ANSWER]
+    first, *_ = found[paths.ANSWER].splitlines()
+    assert first.startswith("# Failure probability in one run: ")
+    assert f"{short_probability(estimate)} if misses are independent" in first
     assert "always[0,99] (gap >= 2.0)" in found[paths.ANSWER]
     for warning in estimate.warnings:
         assert warning in found[paths.WARNINGS]
