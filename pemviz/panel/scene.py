@@ -14,6 +14,7 @@ import viser
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLUE, DETECTED, MISSED, car_color, rgb
 from pemviz.panel.server import guarded_server
+from pemviz.runs.drawn_road import drawn_road
 from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, DrawnRollout, answer_words
 
 
@@ -38,6 +39,18 @@ def extruded(profile: FloatArray, *, width: float, y: float = 0.0) -> Mesh:
         faces.append((place, count + place, after))
         faces.append((after, count + place, count + after))
     return Mesh(np.concatenate(sides), np.asarray(faces, dtype=np.int64))
+
+
+def strip_between(right: FloatArray, left: FloatArray) -> Mesh:
+    """The ground between two lines ``[N, 2]``."""
+    count = len(right)
+    vertices = np.concatenate([right, left])
+    at = np.arange(count - 1)
+    faces = [(at, at + 1, at + count), (at + 1, at + count + 1, at + count)]
+    return Mesh(
+        np.column_stack([vertices, np.full(2 * count, -0.01)]),
+        np.concatenate([np.stack(corners, axis=1) for corners in faces]),
+    )
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -90,7 +103,8 @@ AFTER_CONTACT = (150, 150, 150)
 BRAKING_MPS2 = 1.0
 """From which on a car's lamps are lit."""
 BEFORE_M, BEYOND_M = 70.0, 150.0
-DASH_M, DASH_SPACING_M = 3.0, 9.0
+KERB_M = 0.4
+"""Of asphalt beyond a road's outer lines."""
 SIGMAS = 2.0
 TRACKED = (255, 255, 255)
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
@@ -168,7 +182,7 @@ class Scene:
     def _ground(self, drawn: DrawnRollout) -> None:
         x_m = drawn.states.x_m[drawn.states.present]
         start_m, end_m = float(np.min(x_m)) - BEFORE_M, float(np.max(x_m)) + BEYOND_M
-        edges_m = drawn.road.lane_edges_m
+        road = drawn_road(drawn.road, from_m=start_m, to_m=end_m)
         middle_m = (start_m + end_m) / 2
         self._api.add_box(
             f"{ROOT}/verge",
@@ -177,25 +191,24 @@ class Scene:
             position=(middle_m, 0.0, -0.2),
             cast_shadow=False,
         )
-        self._api.add_box(
-            f"{ROOT}/road",
-            color=ROAD,
-            dimensions=(end_m - start_m, edges_m[-1] - edges_m[0] + 0.8, 0.1),
-            position=(middle_m, (edges_m[0] + edges_m[-1]) / 2, -0.06),
-            cast_shadow=False,
+        kerb = np.array([0.0, KERB_M])
+        for place, (right, left) in enumerate(road.asphalt):
+            flat = strip_between(right - kerb, left + kerb)
+            self._api.add_mesh_simple(
+                f"{ROOT}/road{place}",
+                vertices=flat.vertices.astype(np.float32),
+                faces=flat.faces.astype(np.uint32),
+                color=ROAD,
+                side="double",
+                cast_shadow=False,
+            )
+        solid = [np.stack([line[:-1], line[1:]], axis=1) for line in road.solid]
+        painted = np.concatenate([*solid, road.dashed])
+        points = np.full((len(painted), 2, 3), 0.02)
+        points[..., :2] = painted
+        self._api.add_line_segments(
+            f"{ROOT}/lines", points=points.astype(np.float32), colors=PAINT, thickness=0.13
         )
-        dashes_m = np.arange(start_m, end_m, DASH_SPACING_M)
-        for place, edge_m in enumerate(edges_m):
-            if place in (0, len(edges_m) - 1):
-                starts_m, ends_m = np.array([start_m]), np.array([end_m])
-            else:
-                starts_m, ends_m = dashes_m, dashes_m + DASH_M
-            points = np.full((starts_m.size, 2, 3), 0.02)
-            points[:, 0, 0], points[:, 1, 0], points[..., 1] = starts_m, ends_m, edge_m
-            self._api.add_line_segments(
-                f"{ROOT}/line{place}", points=points.astype(np.float32), colors=PAINT,
-                thickness=0.13,
-            )  # fmt: skip
 
     def _track_lines(self, slot: int) -> viser.LineSegmentsHandle:
         return self._api.add_line_segments(
@@ -210,7 +223,7 @@ class Scene:
         """Beside the road, a row for each slot: where the ego was at every answer about it."""
         end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
         x_m = drawn.states.x_m[:-1, 0]
-        edge_m = drawn.road.lane_edges_m[0]
+        edge_m = drawn.road.right_m
         for answer, mesh, color in (
             (RIGHT, HIT_MARK, DETECTED),
             (WRONG, MISS_MARK, MISSED),

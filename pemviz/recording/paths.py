@@ -47,7 +47,6 @@ SCENE = "/worst_case/scene"
 OUTCOMES = "/worst_case/outcomes"
 WORST_DETECTION = "/worst_case/p_detected"
 WORST_NOISE = "/worst_case/random_by_step"
-PLAN = "/worst_case/from_above"
 FRAMES = "/worst_case/highway_env"
 
 SUBTREE = "/**"  # in a view: the entity and all below it
@@ -94,9 +93,14 @@ def road_car(rank: int, car: int) -> str:
     return lane(rank, f"car_{car}")
 
 
-def plan(part: str) -> str:
-    """A part of the least robust rollout from above."""
-    return f"{PLAN}/{part}"
+def plan(rank: int) -> str:
+    """The ``rank``-th least robust rollout from above, from 1."""
+    return f"/worst_case/from_above/rank_{rank:02d}"
+
+
+def plan_road(rank: int) -> str:
+    """The road below it."""
+    return f"{plan(rank)}/road"
 
 
 def outcomes(rank: int) -> str:

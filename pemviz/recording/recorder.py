@@ -13,7 +13,7 @@ from pemviz.recording import learning, paths, text, worst
 from pemviz.recording.film import import_filming, log_film
 from pemviz.recording.plot import log_intervals
 from pemviz.recording.rollouts import ROLLOUT_LIMIT, choose, log_rollouts, quota, unvaried
-from pemviz.recording.scene import MOST_ROADS, log_scene, on_roads
+from pemviz.recording.scene import MOST_ROADS, OnRoad, log_scene, on_roads, roads_shown
 from pemviz.recording.scene_plan import log_scene_plan
 from pemviz.recording.stream import RecordingFile, compact
 from pemviz.recording.views import Subject, all_views, blueprint, views_with_data, without_signals
@@ -111,7 +111,10 @@ class _Writing:
         self._figures: list[learning.StageFigures] = []
         self._tracks: tuple[worst.Track, ...] = ()
         self._drawn_repetitions = 0
-        self._robustness_unit = "" if config.metric == "agm" else "m"
+        named = named_signals(config, started.signals)
+        units = {signal.unit for signal in named}
+        one_unit = config.metric != "agm" and len(units) == 1
+        self._robustness_unit = units.pop() if one_unit else ""
         self._slots, scene = slots_of(simulator), drawn_scene(simulator)
         self._per_stage = quota(
             rollouts=started.planned_rollouts // config.repetitions,
@@ -126,7 +129,7 @@ class _Writing:
                 robustness_unit=self._robustness_unit,
                 frames=frames,
                 road=None if scene is None else scene.road,
-                signal=named_signals(config, started.signals)[0],
+                signal=named[0],
                 noise=worst.noise_title(simulator),
                 rows=self._row_names(),
             )
@@ -254,7 +257,8 @@ class _Writing:
         file.markdown(paths.WARNINGS, text.warnings_text(result))
         file.markdown(paths.PROVENANCE, text.provenance_text(result))
         if self._tracks:
-            table = text.worst_table(self._tracks, result.least_robust_by_rule)
+            by_rule, unit = result.least_robust_by_rule, self._robustness_unit
+            table = text.worst_table(self._tracks, by_rule, robustness_unit=unit)
             file.markdown(paths.WORST_SUMMARY, table)
 
     def _write_worst(self) -> None:
@@ -265,18 +269,28 @@ class _Writing:
         )
         if config.repetitions > 1:
             self._write_scene(stage=last)
+        for one in self._on_roads(last)[1:]:  # now that the ranking does not change any more
+            log_scene_plan(one)
         if self._frames:
             track = self._tracks[0]
             log_film(self._file, track, config=config, simulator=simulator, stage=last)
 
     def _write_scene(self, *, stage: int) -> None:
-        """The least robust rollouts on their road, as far as their scenario tells of one."""
-        drawn = [track.drawn for track in self._tracks if track.drawn is not None]
-        titles = [f"robustness {track.ranked.robustness:.3g}" for track in self._tracks]
-        if drawn:
-            shown = on_roads(self._file, drawn, titles, stage=stage)
-            log_scene(self._file, shown)
-            log_scene_plan(shown[0])
+        """The least robust rollouts on their roads, and the first of them from above."""
+        ranked = self._on_roads(stage)
+        if ranked:
+            log_scene(self._file, ranked[: roads_shown(ranked[0].drawn.road)])
+            log_scene_plan(ranked[0])
+
+    def _on_roads(self, stage: int) -> list[OnRoad]:
+        """The least robust rollouts, as far as their scenario tells where cars are."""
+        unit = f" {self._robustness_unit}" if self._robustness_unit else ""
+        drawn = [
+            (track.drawn, f"robustness {track.ranked.robustness:.3g}{unit}")
+            for track in self._tracks
+            if track.drawn is not None
+        ]
+        return on_roads(self._file, drawn, stage=stage)
 
 
 def _import(config: ExperimentConfig) -> None:

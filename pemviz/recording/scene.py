@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.colors import DETECTED, GREEN, GREY, MISSED, Rgba, car_color
 from pemviz.recording import paths
 from pemviz.recording.shades import ROAD, WORDS, shade
 from pemviz.recording.stream import RecordingFile, StepTimes
+from pemviz.runs.drawn_road import DrawnRoad, drawn_road
 from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, DrawnRollout, answer_words
 from pemviz.simulators.scene import Road, SceneCar, SceneTracks, SceneZone
 
@@ -26,7 +27,7 @@ WIDTH_M = 34.0
 VERGE_M = 5.0
 """Between two roads; a rollout's words stand there."""
 BEHIND_M, AHEAD_M = 15.0, 60.0
-DASH_M, DASH_SPACING_M = 3.0, 9.0
+PAINT_M = 0.03
 ANSWERS: dict[int, Rgba] = {
     NOT_EVALUATED: shade(GREY),
     RIGHT: shade(DETECTED),
@@ -43,14 +44,9 @@ CABIN_SHARE, BODY_SHARE = 0.55, 0.58
 UNKNOWN_SD_M = 0.02
 
 
-def in_picture(ahead_m: FloatArray) -> BoolArray:
-    """Whether something so far ahead of the ego's centre is on the road that is drawn."""
-    return (ahead_m >= -BEHIND_M) & (ahead_m <= AHEAD_M)
-
-
 def row_m(road: Road) -> float:
     """How far a rollout's road is from the next."""
-    return road.lane_edges_m[-1] - road.lane_edges_m[0] + VERGE_M
+    return road.left_m - road.right_m + VERGE_M
 
 
 def roads_shown(road: Road) -> int:
@@ -72,7 +68,7 @@ class OnRoad:
     def shift_m(self) -> float:
         """What is added to the rollout's own y."""
         road = self.drawn.road
-        return (self.rank - 1) * row_m(road) - road.lane_edges_m[0]
+        return (self.rank - 1) * row_m(road) - road.right_m
 
     @property
     def grey_from(self) -> int:
@@ -87,20 +83,32 @@ class OnRoad:
         grey = [after + self.drawn.contact_words] * (self.drawn.count - self.grey_from)
         return [before] * self.grey_from + grey
 
-    def log(self, path: str, fixed: Any, columns: Any) -> None:
+    def drawn_road(self, beyond_m: float = 0.0) -> DrawnRoad:
+        """Its road, as far as a picture shows of it at any step, and farther."""
+        ego_m = self.drawn.states.x_m[:, 0]
+        from_m, to_m = float(np.min(ego_m)) - BEHIND_M, float(np.max(ego_m)) + AHEAD_M
+        return drawn_road(self.drawn.road, from_m=from_m - beyond_m, to_m=to_m + beyond_m)
+
+    @property
+    def road_moves(self) -> Any:
+        """The road's move from step to step, as columns: the ego stays where it is."""
+        moved = np.zeros((self.drawn.count, 3))
+        moved[:, 0] = -self.drawn.states.x_m[:, 0]
+        return rr.Transform3D.columns(translation=moved)
+
+    def log(self, path: str, fixed: Sequence[Any], columns: Any) -> None:
         """Log what stays the same and what changes from step to step."""
-        self.file.static(path, fixed)
+        self.file.static(path, *fixed)
         self.file.along(path, columns, times=self.times)
 
 
 def on_roads(
-    file: RecordingFile, drawn: Sequence[DrawnRollout], titles: Sequence[str], *, stage: int
+    file: RecordingFile, drawn: Sequence[tuple[DrawnRollout, str]], *, stage: int
 ) -> list[OnRoad]:
-    """Those of the first rollouts that there is room for."""
-    shown = zip(drawn[: roads_shown(drawn[0].road)], titles, strict=False)
+    """Rollouts and their titles, in the order of their ranks."""
     return [
         OnRoad(file, one, rank, title, StepTimes(stage, one.count, one.dt_s))
-        for rank, (one, title) in enumerate(shown, start=1)
+        for rank, (one, title) in enumerate(drawn, start=1)
     ]
 
 
@@ -113,41 +121,43 @@ def log_scene(file: RecordingFile, shown: Sequence[OnRoad]) -> None:
             _log_car(one, car)
         if one.drawn.tracks is not None:
             _log_tracks(one, one.drawn.tracks)
-        at_m = [-BEHIND_M + 10.0, one.drawn.road.lane_edges_m[-1] + one.shift_m + 2.0, 0.0]
+        at_m = [-BEHIND_M + 10.0, one.drawn.road.left_m + one.shift_m + 2.0, 0.0]
         words = rr.Points3D.from_fields(
             positions=[at_m], radii=[0.02], colors=[WORDS], show_labels=True
         )
         columns = rr.Points3D.columns(labels=one.titles)
-        one.log(paths.lane(one.rank, "words"), words, columns)
+        one.log(paths.lane(one.rank, "words"), (words,), columns)
 
 
 def _log_road(one: OnRoad) -> None:
-    edges_m = [edge_m + one.shift_m for edge_m in one.drawn.road.lane_edges_m]
-    right_m, left_m = edges_m[0], edges_m[-1]
-    road = rr.Boxes3D(
-        centers=[[(AHEAD_M - BEHIND_M) / 2, (right_m + left_m) / 2, -0.06]],
-        half_sizes=[[(BEHIND_M + AHEAD_M) / 2, (left_m - right_m) / 2 + 0.5, 0.05]],
-        colors=ROAD,
-        fill_mode="solid",
+    """All of the road that the rollout comes by; it moves, and the ego stays."""
+    road, path = one.drawn_road(), paths.lane(one.rank, "road")
+    asphalt, faces = list[FloatArray](), list[AnyArray]()
+    for right, left in road.asphalt:
+        at, count = np.arange(len(right) - 1), len(right)
+        first = sum(map(len, asphalt))
+        corners = [(at, at + 1, at + count), (at + 1, at + count + 1, at + count)]
+        faces += [first + np.stack(one_face, axis=1) for one_face in corners]
+        asphalt += [right, left]
+    shift = (0.0, one.shift_m)
+    lines = [_at_height(line + shift, PAINT_M) for line in (*road.solid, *road.dashed)]
+    ground = rr.Mesh3D(
+        vertex_positions=_at_height(np.concatenate(asphalt) + shift, 0.0),
+        triangle_indices=np.concatenate(faces),
+        albedo_factor=ROAD,
     )
-    one.file.static(paths.lane(one.rank, "road"), road)
-    solid = [[[-BEHIND_M, y, 0.02], [AHEAD_M, y, 0.02]] for y in (right_m, left_m)]
-    edges = rr.LineStrips3D(solid, colors=WORDS, radii=0.06)
-    one.file.static(paths.lane(one.rank, "edges"), edges)
-    starts_m = np.arange(DASH_SPACING_M - BEHIND_M, AHEAD_M - DASH_M, DASH_SPACING_M)
-    dashes = [[[x, y, 0.02], [x + DASH_M, y, 0.02]] for y in edges_m[1:-1] for x in starts_m]
-    if dashes:
-        moved = np.zeros((one.drawn.count, 3))
-        moved[:, 0] = -(one.drawn.states.x_m[:, 0] % DASH_SPACING_M)
-        paint = rr.LineStrips3D(dashes, colors=WORDS, radii=0.06)
-        one.log(paths.lane(one.rank, "paint"), paint, rr.Transform3D.columns(translation=moved))
+    one.log(path, (ground, rr.LineStrips3D(lines, colors=WORDS, radii=0.06)), one.road_moves)
+
+
+def _at_height(line: FloatArray, z_m: float) -> FloatArray:
+    return np.column_stack([line, np.full(len(line), z_m)])
 
 
 def _log_car(one: OnRoad, car: int) -> None:
     path, drawn = paths.road_car(one.rank, car), one.drawn
     shape, states = drawn.cars[car], drawn.states
     ahead_m = states.x_m[:, car] - states.x_m[:, 0]
-    there = states.present[:, car] & in_picture(ahead_m)
+    there = states.present[:, car]
     half = np.where(there, states.heading_rad[:, car], 0.0) / 2
     zeros = np.zeros_like(half)
     turned = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
@@ -158,7 +168,7 @@ def _log_car(one: OnRoad, car: int) -> None:
     shades = np.tile(np.array(shade(car_color(car)), dtype=np.uint8), (drawn.count, 1))
     shades[one.grey_from :] = shade(GREY)
     columns = rr.Boxes3D.columns(colors=np.repeat(shades, 2, axis=0))
-    one.log(f"{path}/body", _body(shape), columns.partition([2] * drawn.count))
+    one.log(f"{path}/body", (_body(shape),), columns.partition([2] * drawn.count))
     if shape.zone is not None:
         _log_zone(one, f"{path}/zone", shape, shape.zone)
     slot = drawn.slot_of_car[car]
@@ -220,14 +230,14 @@ def _log_mark(one: OnRoad, path: str, car: int, slot: int) -> None:
     mark = rr.Points3D.from_fields(positions=[(0.0, 0.0, top_m)], show_labels=one.rank == 1)
     shades = np.array([ANSWERS[answer] for answer in answers], dtype=np.uint8)
     radii = [RADII_M[answer] for answer in answers]
-    one.log(f"{path}/outcome", mark, rr.Points3D.columns(colors=shades, radii=radii, labels=names))
+    columns = rr.Points3D.columns(colors=shades, radii=radii, labels=names)
+    one.log(f"{path}/outcome", (mark,), columns)
 
 
 def _log_tracks(one: OnRoad, tracks: SceneTracks) -> None:
     """Where the controller believes cars to be: a flat ellipse of two standard deviations."""
     drawn = one.drawn
     shown = tracks.confirmed & (np.arange(drawn.count) < one.grey_from)[:, None]
-    shown &= in_picture(tracks.x_m - drawn.states.x_m[:, :1])
     step, slot = np.nonzero(shown)
     lengths = shown.sum(axis=1)
     ahead_m = tracks.x_m[step, slot] - drawn.states.x_m[step, 0]
@@ -246,8 +256,8 @@ def _log_tracks(one: OnRoad, tracks: SceneTracks) -> None:
 
     path = paths.lane(one.rank, "tracks")
     columns = rr.Ellipsoids3D.columns(centers=centers, half_sizes=sizes, colors=grey(150))
-    one.log(path, rr.Ellipsoids3D.from_fields(fill_mode="solid"), columns.partition(lengths))
+    one.log(path, (rr.Ellipsoids3D.from_fields(fill_mode="solid"),), columns.partition(lengths))
     above = centers + np.array([0.0, 0.0, 0.65])
     boxes = rr.Boxes3D.columns(centers=above, half_sizes=car_sizes / 2, colors=grey(255))
     wires = rr.Boxes3D.from_fields(fill_mode="majorwireframe")
-    one.log(f"{path}/cars", wires, boxes.partition(lengths))
+    one.log(f"{path}/cars", (wires,), boxes.partition(lengths))

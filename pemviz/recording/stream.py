@@ -61,6 +61,7 @@ class RecordingFile:
         """
         self.path = path
         self.logged: set[str] = set()
+        self._last = dict[str, Any]()
         self._broken = False
         # a random identifier: a viewer merges recordings that have the same one
         self._stream = rr.RecordingStream(
@@ -86,14 +87,16 @@ class RecordingFile:
 
     def static(self, path: str, *archetypes: Any) -> None:
         """Log something that does not change with time."""
-        self._stream.log(path, *archetypes, static=True)
-        self.logged.add(path)
+        if self._is_news(path, archetypes):
+            self._stream.log(path, *archetypes, static=True)
+            self.logged.add(path)
 
     def at_stage(self, path: str, *archetypes: Any, stage: int) -> None:
-        """Log something that belongs to a stage; it shows on every timeline."""
-        self._stream.set_time(paths.STEP, sequence=0)
-        self._stream.set_time(paths.SIM_TIME, duration=0.0)
-        self.on_stage_only(path, *archetypes, stage=stage)
+        """Log something that belongs to a stage and those after it; it shows on every timeline."""
+        if self._is_news(path, archetypes):
+            self._stream.set_time(paths.STEP, sequence=0)
+            self._stream.set_time(paths.SIM_TIME, duration=0.0)
+            self.on_stage_only(path, *archetypes, stage=stage)
 
     def on_stage_only(self, path: str, *archetypes: Any, stage: int) -> None:
         """Log a value whose horizontal axis is the stage."""
@@ -101,6 +104,16 @@ class RecordingFile:
         self._stream.log(path, *archetypes)
         self._stream.reset_time()
         self.logged.add(path)
+
+    def _is_news(self, path: str, archetypes: Sequence[Any]) -> bool:
+        """Whether that is not what was logged there last: a viewer shows that until it changes."""
+        new = [
+            (batch.component_descriptor(), batch.as_arrow_array())
+            for archetype in archetypes
+            for batch in archetype.as_component_batches()
+        ]
+        same, self._last[path] = self._last.get(path) == new, new
+        return not same
 
     def along(self, path: str, columns: Iterable[Any], *, times: StepTimes) -> None:
         """Log one row for each step."""

@@ -31,6 +31,8 @@ from pemviz.simulators.slots import Slot
 NOTHING = "none"
 KINDS = {"pretrain": " (first)", "learn": "", "final": " (final)"}
 RANKED_BY_RULE = 3
+NEXT_LINE = "\\\n"
+"""Without a gap, for which a strip has no room."""
 READ_ON = (
     "## How to read on\n"
     "- **Scene**, where the scenario tells where its cars are: the least robust rollouts; press "
@@ -64,9 +66,11 @@ def strip_text(result: RunResult, *, running: bool) -> str:
     (headline,) = [one for one in headline_blocks(result) if isinstance(one, Headline)]
     likely = f"**{markdown_text(headline.text)}**, {markdown_text(headline.given)}"
     if running:
-        return f"{likely}\n\nThe run goes on; stages done so far: {len(result.stages)}."
+        return f"{likely}{NEXT_LINE}The run goes on; stages done so far: {len(result.stages)}."
     act_on = ", ".join(range_words(first.open, result))
-    return f"{likely}\n\n**{markdown_text(act_on)}**. {markdown_text(_sampling(result, first))}"
+    return (
+        f"{likely}{NEXT_LINE}**{markdown_text(act_on)}**. {markdown_text(_sampling(result, first))}"
+    )
 
 
 def _sampling(result: RunResult, answer: Answer) -> str:
@@ -152,10 +156,14 @@ def _power_text(log10: float) -> str:
 
 
 def worst_table(
-    tracks: Sequence[Track], by_rule: Mapping[str, Sequence[RankedRollout]] | None = None
+    tracks: Sequence[Track],
+    by_rule: Mapping[str, Sequence[RankedRollout]],
+    *,
+    robustness_unit: str,
 ) -> str:
     """The least robust rollouts, of rules the first of each, and what they started with."""
-    header = ("rank", "robustness", "share", "misses", "in a row", "NLL [nats]", "which")
+    robustness = with_unit("robustness", robustness_unit)
+    header = ("rank", robustness, "share", "misses", "in a row", "NLL [nats]", "which")
     rows = [
         (
             f"{rank}",
@@ -186,7 +194,7 @@ def worst_table(
             for one in ranked[:RANKED_BY_RULE]
         ]
         page += "\n\n## Of each rule\n\nShares are of the answer to the rule.\n\n"
-        page += markdown_table(("rule", "robustness", "share", "which"), of_rules)
+        page += markdown_table(("rule", robustness, "share", "which"), of_rules)
     starts = [(f"{i}", markdown_text(t.random.start_text)) for i, t in enumerate(tracks, start=1)]
     if any(words for _, words in starts):
         page += "\n\n## Random at the start\n\n"

@@ -23,7 +23,9 @@ MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
 EYE_M = (-8.0, -13.0, 11.0)
 LOOK_AT_M = (11.0, 5.0, 0.0)
-STRIP_SHARE = 0.2
+MOST_RANKED = 20
+"""Rollouts that are among the least robust."""
+STRIP_SHARE = 0.25
 """Of the height that the scene has below the answer in short."""
 LEGEND_CORNERS = {paths.MISSED_SHARE: rrb.Corner2D.RightTop}
 """Of plots with few curves: where these hardly ever run."""
@@ -245,7 +247,7 @@ def _worst(subject: Subject) -> tuple[ContainerSpec, ...]:
         _plot("Misses against time, by rank", paths.OUTCOMES, shape=named_rows(subject.rows)),
         ViewSpec("series", title, (path,)),
     )
-    title, path = "P(detected) against step, grey: model", paths.WORST_DETECTION
+    title, path = "Rank 1: P(detected) against step, grey: error model", paths.WORST_DETECTION
     curves = [ViewSpec("series", title, (path,), axis=PROBABILITY_AXIS)]
     if subject.frames:
         curves.insert(0, ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,)))
@@ -257,9 +259,13 @@ def _worst(subject: Subject) -> tuple[ContainerSpec, ...]:
         upper = _beside("Plots", *plots)
         return (_below("Worst case", strip, upper, ranked, shares=(STRIP_SHARE, 0.8, 0.8)),)
     scene = ViewSpec("scene", "Least robust rollouts in 3D", (paths.SCENE + paths.SUBTREE,))
-    above = "Rank 1 from above; white: where the controller tracks a car"
     bounds = plan_bounds(subject.road)
-    plan = ViewSpec("plan", above, (paths.PLAN + paths.SUBTREE,), bounds=bounds)
+    plans = tuple(
+        ViewSpec("plan", f"Rank {rank}" if rank == 1 else f"{rank}",
+                 (paths.plan(rank) + paths.SUBTREE,), bounds=bounds)
+        for rank in range(1, MOST_RANKED + 1)
+    )  # fmt: skip
+    plan = ContainerSpec("tabs", "From above, by rank", plans)
     upper = _beside(
         "Least robust", scene, _below("Plots", *plots, shares=(1.3, 1.0)), shares=(1.6, 1.0)
     )

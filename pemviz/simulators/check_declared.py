@@ -11,7 +11,7 @@ from pemviz.errors import ConfigError
 from pemviz.faults import SimulationError, exception_text
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latents import NamesStarts, latent_counts
-from pemviz.simulators.scene import DrawsScene, DrawsTracks, Road, SceneCar, SceneStates
+from pemviz.simulators.scene import DrawsScene, DrawsTracks, Ramp, Road, SceneCar, SceneStates
 from pemviz.simulators.slots import (
     ERROR,
     SLOT,
@@ -32,7 +32,7 @@ TAKEN_KEYS = (
 TAKEN_SIGNALS = (SLOT, LAST_OUTCOME.name)
 TAKEN_MEMORY = (CERTAIN, ERROR, LAST)
 TRIED_STARTS = 5
-LEAST_LINES = 2
+LEAST_LINES, LEAST_PLACES = 2, 2
 
 
 @dataclass(frozen=True)
@@ -278,6 +278,21 @@ def _check_road(road: Any, complaint: Complaint) -> None:
             f"road has lane_edges_m = {road.lane_edges_m!r}: must be at least "
             f"{LEAST_LINES} finite numbers, ascending"
         )
+    ramps: Any = road.ramps
+    if not isinstance(ramps, tuple) or not all(isinstance(ramp, Ramp) for ramp in ramps):
+        complaint.refuse(f"road has ramps = {ramps!r}: must be a tuple of pemviz.Ramp")
+    for ramp in road.ramps:
+        edges = (ramp.x_m, ramp.right_m, ramp.left_m)
+        try:
+            x_m, right_m, left_m = np.array(edges, dtype=np.float64)
+        except (TypeError, ValueError):
+            x_m = right_m = left_m = np.empty(0)
+        fine = x_m.ndim == 1 and x_m.size >= LEAST_PLACES and np.isfinite([right_m, left_m]).all()
+        if not fine or not (np.diff(x_m) > 0.0).all() or not (left_m > right_m).all():
+            complaint.refuse(
+                f"road has a ramp {ramp!r}: must have at least {LEAST_PLACES} places, x_m "
+                "ascending and left_m above right_m, all finite"
+            )
 
 
 def _check_places(simulator: DrawsScene, states: StateBatch, complaint: Complaint) -> None:

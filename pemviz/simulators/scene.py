@@ -49,15 +49,43 @@ class SceneCar:
 
 
 @dataclass(frozen=True)
+class Ramp:
+    """A lane that comes to a straight road from beside, or leaves it.
+
+    Attributes:
+        x_m: Where along the road its edges are given [m], ascending, at least two.
+        right_m: y of its right edge there [m].
+        left_m: y of its left edge there [m], greater. Where either edge is the road's, cars may
+            change between ramp and road.
+    """
+
+    x_m: tuple[float, ...]
+    right_m: tuple[float, ...]
+    left_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Road:
     """A straight road.
 
     Attributes:
         lane_edges_m: y of its lines [m], ascending, at least two; those between the first and the
             last part lanes.
+        ramps: What joins it from either side.
     """
 
     lane_edges_m: tuple[float, ...]
+    ramps: tuple[Ramp, ...] = ()
+
+    @property
+    def right_m(self) -> float:
+        """Its right edge's y, or of a ramp's that reaches farther [m]."""
+        return min((self.lane_edges_m[0], *(y for ramp in self.ramps for y in ramp.right_m)))
+
+    @property
+    def left_m(self) -> float:
+        """Its left edge's y, or of a ramp's that reaches farther [m]."""
+        return max((self.lane_edges_m[-1], *(y for ramp in self.ramps for y in ramp.left_m)))
 
 
 @dataclass(frozen=True)

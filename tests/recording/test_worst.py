@@ -1,5 +1,6 @@
 """The least robust rollouts: on their roads, on film, with what was random in them."""
 
+from collections import Counter
 from dataclasses import replace
 from io import BytesIO
 
@@ -8,17 +9,30 @@ import PIL.Image
 import pytest
 
 import pemviz
-from pemviz.colors import DETECTED, GREY, MISSED, WHITE, rgba
+from pemviz.colors import DETECTED, GREY, MISSED, car_color, rgba
 from pemviz.config import ExperimentConfig, StartChoice
 from pemviz.config.toml_files import load_preset
 from pemviz.recording import paths
 from pemviz.recording.scene import OnRoad, row_m
+from pemviz.recording.scene_plan import ANGLES
+from pemviz.recording.shades import shade
+from pemviz.recording.views import MOST_RANKED
 from pemviz.recording.worst import outcome_frame
 from pemviz.runs.drawn_rollout import NOT_EVALUATED, RIGHT, WRONG, drawn_rollout, remembered
 from pemviz.runs.experiment import build_experiment
+from pemviz.simulators.scene import Ramp
 from tests.latent_toys import Drift, Flat
 from tests.recording.conftest import record, with_blind_pem
-from tests.recording.read_back import chunks, columns, scalars, strips, texts, titles, values_at
+from tests.recording.read_back import (
+    chunks,
+    columns,
+    newest,
+    scalars,
+    strips,
+    texts,
+    titles,
+    values_at,
+)
 from tests.scene_toys import SPREAD_M, CameraOfTwo, CutIn
 
 
@@ -40,6 +54,11 @@ def rollout(recorded):
 
 def values(recorded, entity, name):
     return columns(recorded.path, entity)[name].to_pylist()
+
+
+def number(color):
+    red, green, blue, opacity = color
+    return red << 24 | green << 16 | blue << 8 | opacity
 
 
 def first_contact(rollout):
@@ -65,15 +84,15 @@ def test_cars_are_grey_and_words_tell_the_impact_from_contact_on(recorded, rollo
     assert [shade == grey for shade in shades] == [step >= contact for step in range(41)]
     speed = rollout.signals["impact_speed"][0, contact]
     words = f"contact at {contact * 0.1:.2f} s, impact at {speed:.1f} m/s"
-    for path, name in ((paths.lane(1, "words"), "Points3D"), (paths.plan("words"), "Points2D")):
+    for path, name in ((paths.lane(1, "words"), "Points3D"), (paths.plan(1), "Points2D")):
         labels = [row[0] for row in values(recorded, path, f"{name}:labels")]
         assert [words in label for label in labels] == [step >= contact for step in range(41)]
 
 
 def test_marks_and_words_tell_what_perception_told_of_each_car(recorded, rollout):
     contact = first_contact(rollout)
-    labels = values(recorded, paths.plan("words"), "Points2D:labels")
-    lines = values(recorded, paths.plan("outcomes"), "LineStrips2D:colors")
+    labels = values(recorded, paths.plan(1), "Points2D:labels")
+    lines = values(recorded, paths.plan(1), "LineStrips2D:colors")
     present = CutIn().present(rollout.signals)[0]
     assert not present[:contact].all()
     scene = CutIn().scene({name: v[0] for name, v in rollout.signals.items()})
@@ -91,10 +110,11 @@ def test_marks_and_words_tell_what_perception_told_of_each_car(recorded, rollout
             name: answers[car] for car, name in enumerate(names) if on_road[car]
         }
         # a missed car has a line around it, and a cross of two lines on a light ground
-        shades = ([rgba(MISSED)] * 3 + [rgba(WHITE)] * 2) * expected.count("MISSED")
-        shades += [rgba(DETECTED)] * expected.count("detected")
-        numbers = sorted(r << 24 | g << 16 | b << 8 | a for r, g, b, a in shades)
-        assert sorted(lines[step]) == numbers
+        count = Counter(lines[step])
+        cars = Counter(number(rgba(car_color(car))) for car in range(3) if on_road[car])
+        for color, words, each in ((MISSED, "MISSED", 3), (DETECTED, "detected", 1)):
+            shown = number(shade(color))
+            assert count[shown] - cars[shown] == each * expected.count(words)
 
 
 def test_ellipses_are_two_standard_deviations_around_confirmed_tracks_alone(recorded, rollout):
@@ -111,8 +131,43 @@ def test_ellipses_are_two_standard_deviations_around_confirmed_tracks_alone(reco
     assert [len(row) for row in found] == shown.sum(axis=1).tolist()
     sizes = np.concatenate([np.array(row)[:, :2] for row in found if row])
     np.testing.assert_allclose(sizes, np.tile(2 * np.array(SPREAD_M), (len(sizes), 1)), rtol=1e-6)
-    flat = values(recorded, paths.plan("tracks"), "LineStrips2D:strips")
-    assert [len(row) for row in flat] == (2 * shown.sum(axis=1)).tolist()
+    flat = values(recorded, paths.plan(1), "LineStrips2D:strips")
+    ellipses = [[strip for strip in row if len(strip) == len(ANGLES)] for row in flat]
+    assert [len(row) for row in ellipses] == shown.sum(axis=1).tolist()
+
+
+def test_every_ranked_rollout_is_seen_from_above_and_has_a_tab_of_its_own(recorded):
+    ranked = recorded.result.least_robust
+    assert len(ranked) == MOST_RANKED
+    (stage,), scenario = recorded.stages, CutIn()
+    for rank, one in enumerate(ranked, start=1):
+        row = stage.scored.rollouts.take(slice(one.rollout, one.rollout + 1))
+        scene = scenario.scene({name: v[0] for name, v in row.signals.items()})
+        labels = values(recorded, paths.plan(rank), "Points2D:labels")
+        assert labels[0][0] == f"rank {rank}: robustness {one.robustness:.3g}"
+        moved = values(recorded, paths.plan_road(rank), "Transform3D:translation")
+        expected = -scene.x_m[:, 0]
+        np.testing.assert_allclose(np.array(moved)[:, 0, 0], expected, rtol=1e-6, atol=1e-5)
+    tabs = [title for title in titles(recorded.path) if title.isdecimal() or title == "Rank 1"]
+    assert sorted(tabs) == sorted(["Rank 1", *map(str, range(2, MOST_RANKED + 1))])
+
+
+def test_a_ramp_is_drawn_in_3d_and_from_above_where_it_is(tmp_path):
+    ramp = Ramp(x_m=(-20.0, 40.0, 90.0), right_m=(-12.0, -5.25, -5.25), left_m=(-8.5, -1.75, -1.75))
+    simulator = type("OnRamp", (CutIn,), {"road": replace(CutIn.road, ramps=(ramp,))})()
+    config = pemviz.ExperimentConfig(
+        spec="always[0,40] (collided <= 0.5)", method="naive", final_rollouts=10, plan=False
+    )
+    experiment = pemviz.build_experiment(config, simulator=simulator, pem=CameraOfTwo())
+    recorded = record(experiment, tmp_path)
+    ground = np.array(newest(recorded.path, "Mesh3D:vertex_positions")[paths.lane(1, "road")])
+    x_m, edges_m = np.tile(ramp.x_m, 2), np.array([*ramp.right_m, *ramp.left_m])
+    for place in zip(x_m, edges_m + 12.0, strict=True):
+        assert np.linalg.norm(ground[:, :2] - place, axis=1).min() < 1e-4
+    far = np.array(newest(recorded.path, "Mesh3D:vertex_positions")[paths.lane(2, "road")])
+    assert far[:, 1].min() > ground[:, 1].max()
+    lines = [strip[:, 0] for strip in strips(recorded.path, paths.plan_road(1))]
+    assert sum(line.tolist() == list(ramp.x_m) for line in lines) == 1, "the right edge, all along"
 
 
 def test_roads_do_not_overlap_and_the_page_says_what_is_drawn(recorded, rollout):
@@ -243,7 +298,7 @@ def test_latents_that_nobody_explains_are_shown_as_they_are(tmp_path):
 
 def test_without_latents_nothing_is_said_of_them(learned):
     assert "Random at the start" not in texts(learned.path)[paths.WORST_SUMMARY]
-    assert not any(title.startswith("Rank 1:") for title in titles(learned.path))
+    assert not any("normals" in title or "error of" in title for title in titles(learned.path))
 
 
 def test_a_logical_scenario_is_filmed_with_its_own_start_and_in_grey_from_contact_on(tmp_path):

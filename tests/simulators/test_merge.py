@@ -108,3 +108,22 @@ def test_it_brings_rules_unless_others_are_asked() -> None:
     own = ExperimentConfig(simulator="merge", spec="always[0,60] (clearance >= 1)")
     assert with_own_rules(own) == own
     assert with_own_rules(ExperimentConfig()) == ExperimentConfig()
+
+
+def test_the_road_that_is_drawn_is_the_environment_s() -> None:
+    """Edges of its lanes, by its own geometry: y grows to the right there."""
+    environment = MergeEnv(config=CONFIG)
+    environment.reset(seed=0)
+    network, road = environment.road.network, SIMULATOR.road
+    (ramp,) = road.ramps
+    for start, end in (("j", "k"), ("k", "b"), ("b", "c")):
+        number = 2 if start == "b" else 0
+        lane = network.get_lane((start, end, number))
+        for along_m in np.linspace(0.0, lane.length, 9):
+            for edge_m, aside_m in ((ramp.right_m, 2.0), (ramp.left_m, -2.0)):
+                x_m, y_m = lane.position(along_m, aside_m)
+                # highway-env measures across the bend, along the normal
+                assert np.interp(x_m, ramp.x_m, edge_m) == pytest.approx(-y_m, abs=0.03)
+    right, left = network.get_lane(("a", "b", 1)), network.get_lane(("a", "b", 0))
+    edges_m = [-right.position(0.0, 2.0)[1], -right.position(0.0, -2.0)[1]]
+    assert road.lane_edges_m == (*edges_m, -left.position(0.0, -2.0)[1])

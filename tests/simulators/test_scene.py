@@ -28,6 +28,8 @@ def raising(simulator, signals):
     raise KeyError("x of\nthe lead")
 
 
+LOW = (-5.0, -5.0)
+RAMP = pemviz.Ramp(x_m=(0.0, 9.0), right_m=(-4.0, -4.0), left_m=(0.0, -1.0))
 EGO, LEAD, CUTTER = CutIn.scene_cars
 WRONG = {
     "scene_cars must be a tuple": {"scene_cars": ()},
@@ -37,6 +39,10 @@ WRONG = {
     r"slot 'bus': must be one of lead, cutter": {"scene_cars": (EGO, replace(LEAD, slot="bus"))},
     "road is a tuple": {"road": (0.0, 3.5)},
     "lane_edges_m = .* ascending": {"road": pemviz.Road(lane_edges_m=(3.5, 0.0))},
+    "ramps = .* must be a tuple of pemviz.Ramp": {"road": pemviz.Road((0.0, 3.5), ramps=[RAMP])},
+    "a ramp .* x_m ascending": {"road": pemviz.Road((0.0, 3.5), (replace(RAMP, x_m=(9.0, 0.0)),))},
+    "ascending and left_m above": {"road": pemviz.Road((0.0, 3.5), (replace(RAMP, left_m=LOW),))},
+    "a ramp .* 2 places": {"road": pemviz.Road((0.0, 3.5), (replace(RAMP, right_m=(-4.0,)),))},
     r"scene: y_m is float64 of shape \(4,\)": {"scene": scene_with(y_m=np.zeros(4))},
     "scene: x_m must be finite": {"scene": lambda s, signals: replace(
         CutIn.scene(s, signals),

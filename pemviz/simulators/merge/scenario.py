@@ -17,7 +17,7 @@ from pemviz.latents import LatentCounts
 from pemviz.simulators import merge
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M, car_salient
 from pemviz.simulators.episodic import SideBySide
-from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
+from pemviz.simulators.scene import Ramp, Road, SceneCar, SceneStates, SceneTracks
 from pemviz.simulators.slots import Slot
 from pemviz.simulators.tracked_cars import SlotSignals
 from pemviz.simulators.tracking.tracker import (
@@ -40,9 +40,13 @@ ANTICIPATION_S = 1.0
 STANDSTILL_M, BRAKE_S, KEEP_S = 10.0, 1.2, 1.6
 SLOWER, IDLE, FASTER = 0, 1, 2
 """The environment's actions."""
-LANE_EDGES_M = (-10.0, -6.0, -2.0, 2.0)
-"""The lane of the ramp, the ego's, and the left one."""
-EGO_LANE_M = -4.0
+LANE_EDGES_M = (-6.0, -2.0, 2.0)
+"""The ego's lane and the left one."""
+EGO_LANE_M, LANE_WIDTH_M = -4.0, 4.0
+APPROACH_M, JOINED_M = -14.5, -8.0
+"""y of the ramp's centre where it begins, and from where cars merge."""
+BENDS_AT_M, MERGING_AT_M, RAMP_ENDS_AT_M = 150.0, 230.0, 310.0
+BEND_PLACES = 17
 
 
 def make_environment() -> "MergeEpisodes":
@@ -162,8 +166,8 @@ class MergeSimulator:
 
     @property
     def road(self) -> Road:
-        """The road's two lanes and that of the ramp; before that the ramp lies farther right."""
-        return Road(LANE_EDGES_M)
+        """The road's two lanes, and the ramp."""
+        return Road(LANE_EDGES_M, (ramp(),))
 
     def scene(self, signals: Mapping[str, FloatArray]) -> SceneStates:
         """Where the cars are, for signals ``[...]``; the ego keeps its lane."""
@@ -187,6 +191,16 @@ class MergeSimulator:
             self.tracker, states, slots=len(merge.CARS), ego_m=ego_m, length_m=length_m
         )
         return replace(tracks, y_m=tracks.y_m + EGO_LANE_M)
+
+
+def ramp() -> Ramp:
+    """merge-v0's: it comes nearer along half a period of a cosine, and ends beside the road."""
+    shares = np.linspace(0.0, 1.0, BEND_PLACES)
+    x_m = [0.0, *(BENDS_AT_M + (MERGING_AT_M - BENDS_AT_M) * shares), RAMP_ENDS_AT_M]
+    bend_m = JOINED_M + (APPROACH_M - JOINED_M) * (1.0 + np.cos(np.pi * shares)) / 2.0
+    centre_m = np.array([APPROACH_M, *bend_m, JOINED_M])
+    right_m, left_m = centre_m - LANE_WIDTH_M / 2, centre_m + LANE_WIDTH_M / 2
+    return Ramp(tuple(map(float, x_m)), tuple(right_m.tolist()), tuple(left_m.tolist()))
 
 
 def ego_action(
