@@ -35,7 +35,7 @@ ONLY_IN = {
     "pygame": {"simulators"},
     "dask": {"sweep"},
     "distributed": {"sweep"},
-    "pyarrow": {"sweep", "export"},
+    "pyarrow": {"sweep", "export", "recording"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},
     "libsumo": {"simulators"},

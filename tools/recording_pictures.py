@@ -42,9 +42,11 @@ COLORS = 128
 SETTLE_S = 4.0
 BROWSER_FACTOR = 3.0
 """How much longer a browser takes that draws by software."""
-MOST_WAITS = 20
+MOST_WAITS, FRAME_MS = 20, 1500
 ACTIVE, CONTENTS = "ContainerBlueprint:active_tab", "ContainerBlueprint:contents"
 NAMES = ("ContainerBlueprint:display_name", "ViewBlueprint:display_name")
+RESTING_PLACE = (340, 12)
+"""Of the mouse, where nothing answers to it [pixels]."""
 TIME_BOX = (45, 15)
 """Where the time stands, from the page's lower right corner [pixels]."""
 SEND = """text => {
@@ -130,9 +132,9 @@ def light_pictures(layouts: Mapping[str, bytes], arguments: argparse.Namespace) 
         answer.value.finished()
         settled(page, settle_s)
         page.mouse.click(width - TIME_BOX[0], height - TIME_BOX[1])
-        page.keyboard.press("Control+A")
-        page.keyboard.type(str(arguments.step))
-        page.keyboard.press("Enter")
+        for keys in ("Control+A", *str(arguments.step), "Enter"):
+            page.wait_for_timeout(FRAME_MS)  # what comes before the next frame is not heard
+            page.keyboard.press(keys)
         for name, layout in layouts.items():
             page.evaluate(SEND, base64.b64encode(layout).decode())
             keep(settled(page, settle_s), arguments.out / f"{name}-light.png")
@@ -142,7 +144,8 @@ def light_pictures(layouts: Mapping[str, bytes], arguments: argparse.Namespace) 
 def settled(page: Page, settle_s: float) -> bytes:
     """A picture of the page once it does not change any more."""
     before = b""
-    for _ in range(MOST_WAITS):
+    for place in range(MOST_WAITS):
+        page.mouse.move(RESTING_PLACE[0] + place % 2, RESTING_PLACE[1])  # makes the viewer draw
         page.wait_for_timeout(1000 * settle_s)
         picture = page.screenshot(timeout=WAIT_MS)
         if picture == before:
