@@ -146,12 +146,14 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
         yield Caution("Read the warnings before quoting this.")
     yield from map(Paragraph, estimates.next_text(run_remedy(result)))
     called = estimates.interval_name(estimate, caveats=caveats)
+    count = len(result.config.rules)  # the headline's answer is to one rule, these are to any
+    of_any = f", any of {count} rules" if count else ""
     rows = [
-        ("probability of a violation", estimates.probability_text(estimate)),
+        (f"probability of a violation{of_any}", estimates.probability_text(estimate)),
         ("log10", number_text(estimate.log10_probability, digits=4)),
-        (called, estimates.interval_text(estimate, caveats=caveats)),
+        (f"{called}{of_any}", estimates.interval_text(estimate, caveats=caveats)),
         ("misses", memory_words.memory_text(result.memory)),
-        ("range over refits", estimates.model_range_text(result.pem_interval)),
+        (f"range over refits{of_any}", estimates.model_range_text(result.pem_interval)),
     ]
     if result.reference is not None:
         rows.append(("reference", estimates.reference_text(result.reference, estimate)))
