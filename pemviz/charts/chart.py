@@ -6,7 +6,7 @@ small for the axis, at the axis' end.
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from pemviz.arrays import FloatArray
 
@@ -18,13 +18,17 @@ DASHED, DOTTED, SOLID = "5 3", "1.5 2.5", ""
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis between two values; its label has the unit, and ticks are chosen if ``None``."""
+    """An axis between two values; its label has the unit, and ticks are chosen if ``None``.
+
+    ``words`` stand at the ticks in place of numbers: values are then of kinds, not of amounts.
+    """
 
     low: float
     high: float
     label: str
     log10: bool = False
     ticks: tuple[float, ...] | None = None
+    words: tuple[str, ...] = ()
 
     def share(self, value: Number) -> Number:
         """How far along the axis values lie: 0 at its start, 1 at its end."""
@@ -38,13 +42,18 @@ def with_unit(name: str, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Rule:
-    """A line across the plot at a value: of the axis to the right if ``upright``."""
+    """A line across the plot at a value: of the axis to the right if ``upright``.
+
+    ``label_at``: Where the label of one that is not upright stands: where the axis ends or begins,
+    or in the legend.
+    """
 
     at: float
     label: str
     color: str
     dash: str = DASHED
     upright: bool = True
+    label_at: Literal["end", "start", "legend"] = "end"
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,10 @@ class IntervalChart:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through points ``[N]``; NaN breaks it. Those without a label are not in the legend."""
+    """A line through points ``[N]``; NaN breaks it.
+
+    One without a label is not in the legend; ``name`` is then what tables call it.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -95,19 +107,43 @@ class Line:
     dash: str = SOLID
     opacity: float = 1.0
     tip: str = ""
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Discs at ``[N]`` places, a tip each; a click on one gives its number, counted from 1."""
+    """Discs at ``[N]`` places, or crosses, a tip each.
+
+    Attributes:
+        radius: Of all, or ``[N]`` of each [px].
+        numbers: What a click on each gives; none: they take no clicks.
+        crosses: Whether they are crosses.
+        joined: Whether a line goes through them.
+        name: What tables call them if they have no label.
+    """
 
     x: FloatArray
     y: FloatArray
     color: str
     label: str = ""
-    radius: float = 3.0
+    radius: float | FloatArray = 3.0
     tips: tuple[str, ...] = ()
-    clickable: bool = False
+    numbers: tuple[int, ...] = ()
+    crosses: bool = False
+    joined: bool = False
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """Short upright strokes at ``[N]`` places, from ``below`` them to ``above``, in values of y."""
+
+    x: FloatArray
+    y: FloatArray
+    color: str
+    label: str
+    above: float = 0.0
+    below: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +158,28 @@ class Whiskers:
     label: str = ""
 
 
+@dataclass(frozen=True)
+class Band:
+    """A range upwards all across the plot; one that is no interval at its level is dotted."""
+
+    low: float
+    high: float
+    color: str
+    label: str
+    holds: bool = True
+
+
+@dataclass(frozen=True)
+class Veil:
+    """What lies beyond a value of the axis to the right is made faint."""
+
+    at: float
+    label: str
+
+
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Bars from 0 between edges ``[N+1]`` up to heights ``[N]``."""
+    """Bars from 0 between edges ``[N+1]`` up to heights ``[N]``; NaN leaves one out."""
 
     edges: FloatArray
     heights: FloatArray
@@ -146,13 +201,15 @@ class Level:
 class Cells:
     """A plane of values ``[up, right]``, NaN where not known, shaded by level.
 
-    Levels come from the highest down; the last also has what lies below.
+    Levels come from the highest down; the last also has what lies below. The title is that of the
+    levels' words, ``quantity`` what the values are.
     """
 
     values: FloatArray
     levels: tuple[Level, ...]
     unknown: str
     title: str
+    quantity: str
 
 
 @dataclass(frozen=True)
@@ -167,7 +224,7 @@ class Box:
     label: str
 
 
-Mark = Line | Points | Whiskers | Bars | Cells | Box | Rule
+Mark = Line | Points | Strokes | Whiskers | Band | Bars | Cells | Box | Rule | Veil
 
 
 @dataclass(frozen=True)
@@ -184,7 +241,7 @@ class PlaneChart:
 
 Chart = IntervalChart | PlaneChart
 
-FARTHEST = -40.0
+FARTHEST = -60.0
 """Decades below which nothing is drawn."""
 
 

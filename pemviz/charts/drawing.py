@@ -53,7 +53,7 @@ def drawing(chart: Chart) -> RunFigure:
     for axis, name in ((chart.x, "x"), (chart.y, "y")):
         _set(axes, axis, name)
     axes.set_title(chart.title, loc="left")
-    if any(not isinstance(m, marks.Cells | marks.Rule) and m.label for m in chart.marks):
+    if axes.get_legend_handles_labels()[1]:
         axes.legend(frameon=False, fontsize=8)
     return figure
 
@@ -93,7 +93,8 @@ def _set(axes: Any, axis: Axis, name: str) -> None:
     scale = {f"{name}scale": "log"} if axis.log10 else {}
     axes.set(**scale, **{f"{name}lim": (axis.low, axis.high), f"{name}label": axis.label})
     if axis.ticks is not None:
-        (axes.set_xticks if name == "x" else axes.set_yticks)(list(axis.ticks))
+        set_ticks = axes.set_xticks if name == "x" else axes.set_yticks
+        set_ticks(list(axis.ticks), labels=list(axis.words) or None)
 
 
 def _draw(axes: Any, chart: PlaneChart, mark: marks.Mark) -> None:
@@ -104,10 +105,27 @@ def _draw(axes: Any, chart: PlaneChart, mark: marks.Mark) -> None:
                 linestyle=STYLES.get(mark.dash, "--"), label=mark.label or None,
             )  # fmt: skip
         case marks.Points():
-            axes.plot(
-                mark.x, mark.y, "o", color=mark.color, markersize=1.6 * mark.radius,
+            if mark.joined:
+                axes.plot(mark.x, mark.y, color=mark.color, linewidth=1.0)
+            areas = (1.6 * np.asarray(mark.radius)) ** 2
+            axes.scatter(
+                mark.x, mark.y, s=areas, color=mark.color, label=mark.label or None, zorder=3,
+                marker="x" if mark.crosses else "o",
+            )  # fmt: skip
+        case marks.Strokes():
+            axes.vlines(
+                mark.x, mark.y - mark.below, mark.y + mark.above, color=mark.color,
                 label=mark.label or None,
             )  # fmt: skip
+        case marks.Band():
+            axes.axhspan(
+                mark.low, mark.high, facecolor=(mark.color, 0.13), edgecolor=mark.color,
+                linestyle="-" if mark.holds else ":", label=mark.label or None,
+            )  # fmt: skip
+        case marks.Veil():
+            axes.axvspan(mark.at, chart.x.high, color="white", alpha=0.72, zorder=4)
+            axes.axvline(mark.at, color=BLACK, linestyle=":", label=None)
+            axes.annotate(mark.label, (mark.at, chart.y.low), fontsize=8, zorder=5)
         case marks.Whiskers():
             ends = zip(mark.x, mark.low, mark.high, mark.holds, strict=True)
             for place, (x, low, high, holds) in enumerate(ends):
@@ -134,7 +152,11 @@ def _draw(axes: Any, chart: PlaneChart, mark: marks.Mark) -> None:
 
 def _rule(axes: Any, mark: marks.Rule) -> None:
     across = axes.axvline if mark.upright else axes.axhline
-    across(mark.at, color=mark.color, linewidth=1.0, linestyle=STYLES.get(mark.dash, "--"))
+    named = mark.label if mark.label_at == "legend" else None
+    style = STYLES.get(mark.dash, "--")
+    across(mark.at, color=mark.color, linewidth=1.0, linestyle=style, label=named)
+    if named:
+        return
     if mark.upright:
         axes.text(
             mark.at, 0.03, f" {mark.label}", transform=axes.get_xaxis_transform(), rotation=90,

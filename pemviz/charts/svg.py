@@ -1,8 +1,8 @@
 """Charts as SVG within pages: readable at any width, with what pointers and clicks need.
 
 Drawn by hand and not by matplotlib: the panel redraws charts while a person waits and adds a
-cursor at every step that is played; a chart here takes 1 ms. :func:`svg` draws a chart;
-:class:`Plot` is for what no chart describes, piece by piece.
+cursor at every step that is played; a chart here takes 1 ms. :func:`svg` draws a chart, with a
+:class:`Plot` piece by piece.
 """
 
 import math
@@ -34,8 +34,12 @@ LEGEND_ROW_PX, LEVELS_PX = 14, 128
 CHARACTER_PX = 5.4
 """How wide a character of a legend is, on average."""
 
+WORDS_EDGE_PX = 12
+"""Left of the words at an axis' ticks."""
+
 Entry = tuple[str, str, str]
-"""Of a legend: label, colour, dash."""
+"""Of a legend: label, colour, and how its line is dashed or which of these signs it has."""
+DISC, CROSS, STROKE = "disc", "cross", "stroke"
 
 
 def svg(chart: Chart, *, act: str = "") -> str:
@@ -114,26 +118,21 @@ class Plot:
             f"{_dash(dash)}>{_tip(tip)}</path></g>"
         )
 
-    def points(
-        self,
-        x: Sequence[float],
-        y: Sequence[float],
-        *,
-        color: str,
-        radius: float = 3.0,
-        tips: Sequence[str] = (),
-    ) -> None:
-        """Discs; those above or below the plot lie on its edge."""
-        for place, (vx, vy) in enumerate(zip(x, y, strict=True)):
-            px, py = self.px(vx), self.py(min(max(vy, self.y.low), self.y.high))
-            tip = _tip(tips[place]) if tips else ""
-            spot = f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{radius}' fill='{color}'>"
-            self._parts.append(f"{spot}{tip}</circle>")
-
-    def ticks_at(self, x: FloatArray, *, y_px: tuple[float, float], color: str) -> None:
-        """Short vertical strokes at values ``[N]``, between two pixel rows."""
-        path = "".join(f"M{px:.1f} {y_px[0]}V{y_px[1]}" for px in self._xs(x))
+    def strokes(self, x: FloatArray, low: FloatArray, high: FloatArray, *, color: str) -> None:
+        """Short vertical strokes at ``[N]`` places, between values of y."""
+        ends = zip(self._xs(x), low.tolist(), high.tolist(), strict=True)
+        path = "".join(f"M{px:.1f} {self.py(a):.1f}V{self.py(b):.1f}" for px, a, b in ends)
         self._parts.append(f"<path d='{path}' stroke='{color}' stroke-width='2'/>")
+
+    def band(self, low: float, high: float, *, color: str, dash: str = "") -> None:
+        """A horizontal range: both ends and a shade between them."""
+        top, bottom = self.py(min(high, self.y.high)), self.py(max(low, self.y.low))
+        self._parts.append(
+            f"<rect x='{self.left}' width='{self.right - self.left}' y='{top:.1f}'"
+            f" height='{max(bottom - top, 1.0):.1f}' fill='{color}' fill-opacity='0.13'/>"
+            f"<path d='M{self.left} {top:.1f}H{self.right}M{self.left} {bottom:.1f}H{self.right}'"
+            f" stroke='{color}' stroke-opacity='0.7' fill='none'{_dash(dash)}/>"
+        )
 
     def whisker(self, x: float, low: float, high: float, *, color: str, dash: str = "") -> None:
         """A vertical interval."""
@@ -203,17 +202,16 @@ class Plot:
             )
 
     def legend(self, entries: Sequence[Entry], *, x: float, y: float) -> None:
-        """Lines of (label, colour, dash), from pixel (x, y) downwards."""
-        for place, (label, color, dash) in enumerate(entries):
-            row = y + 13 * place
-            self._over.append(
-                f"<path d='M{x} {row - 3.5}h16' stroke='{color}' stroke-width='2'{_dash(dash)}/>"
-            )
-            self._over.append(text(label, x + 20, row, color=INK))
-
-    def note(self, words: str, x: float, y: float, *, anchor: str = "start") -> None:
-        """Words at a pixel position."""
-        self._over.append(text(words, x, y, anchor=anchor, color=FAINT))
+        """Entries beside each other, from pixel (x, y) on."""
+        for label, color, kind in entries:
+            sign = {
+                DISC: f"<circle cx='{x + 8}' cy='{y - 3.5}' r='3' fill='{color}'/>",
+                CROSS: _cross(x + 8, y - 3.5, 3.4, color=color),
+                STROKE: f"<path d='M{x + 8} {y - 9}v9' stroke='{color}' stroke-width='2'/>",
+            }.get(kind)
+            line = f"<path d='M{x} {y - 3.5}h16' stroke='{color}' stroke-width='2'{_dash(kind)}/>"
+            self._over += [sign or line, text(label, x + 20, y, color=INK)]
+            x += _entry_px((label, color, kind))
 
     def group(self) -> str:
         """The plot as an SVG group."""
@@ -235,7 +233,7 @@ class Plot:
             text(self._title, self._title_at, self.top - 9, color=INK, weight="600", size=11.5),
             f"<path d='M{self.left} {self.bottom}H{self.right}' stroke='{FAINT}'/>",
         ]
-        for value, words in _ticks(self.y, count=max(3, (self.bottom - self.top) // 30)):
+        for value, words in _ticks(self.y, count=max(3, (self.bottom - self.top) // 19)):
             py = self.py(value)
             parts.append(f"<path d='M{self.left} {py:.1f}H{self.right}' stroke='{GRID}'/>")
             parts.append(text(words, self.left - 5, py + 3.5, anchor="end", raw=True))
@@ -245,9 +243,11 @@ class Plot:
             parts.append(text(words, px, self.bottom + 13, anchor="middle", raw=True))
         middle = (self.left + self.right) / 2
         parts.append(text(self.x.label, middle, self.bottom + 26, anchor="middle"))
+        up, most = self.y.label, int(self.height / CHARACTER_PX)
+        up = up if len(up) <= most else f"{up[: most - 1]}\N{HORIZONTAL ELLIPSIS}"
         parts.append(
             f"<g transform='translate(11 {(self.top + self.bottom) / 2:.1f}) rotate(-90)'>"
-            f"{text(self.y.label, 0, 0, anchor='middle')}</g>"
+            f"{text(up, 0, 0, anchor='middle')}</g>"
         )
         return "".join(parts)
 
@@ -261,6 +261,8 @@ def _ticks(axis: Axis, *, count: int) -> list[tuple[float, str]]:
     values = axis.ticks
     if values is None:
         values = nice_ticks(axis.low, axis.high, count=count, whole=axis.log10)
+    if axis.words:
+        return [(value, escape(words)) for value, words in zip(values, axis.words, strict=True)]
     return [(value, _power(value) if axis.log10 else _signed(value)) for value in values]
 
 
@@ -358,33 +360,44 @@ def _row(row: marks.Row, top: float, px: Callable[[float], float], right: float)
     return f"<g>{_tip(row.tip or row.name)}{''.join(parts)}</g>"
 
 
-def _plane(chart: PlaneChart, *, act: str) -> str:
-    entries = [
-        (mark.label, mark.color, _legend_dash(mark))
-        for mark in chart.marks
-        if not isinstance(mark, marks.Cells | marks.Rule) and mark.label
-    ]
-    cells = next((mark for mark in chart.marks if isinstance(mark, marks.Cells)), None)
-    rows = _legend_rows(entries, chart.width - 60)
-    drawn = Plot(
+def plot_of(chart: PlaneChart) -> Plot:
+    """The plot of a chart with nothing on it yet: where its axes lie."""
+    rows = _legend_rows(_entries(chart), chart.width - 60)
+    shaded = any(isinstance(mark, marks.Cells) for mark in chart.marks)
+    longest = max(map(len, chart.y.words), default=0)
+    left = WORDS_EDGE_PX + round(CHARACTER_PX * longest) if longest else 52
+    return Plot(
         title=chart.title,
         x=_in_places(chart.x),
         y=_in_places(chart.y),
         width=chart.width,
         height=chart.height + LEGEND_ROW_PX * len(rows),
-        left=52,
-        right=LEVELS_PX if cells is not None else 10,
+        left=left,
+        right=LEVELS_PX if shaded else 10,
         bottom=34 + LEGEND_ROW_PX * len(rows),
+        title_at=EDGE_PX if longest else left,
     )
+
+
+def _plane(chart: PlaneChart, *, act: str) -> str:
+    drawn = plot_of(chart)
     over = "".join(_draw(drawn, chart, mark, act=act) for mark in chart.marks)
-    for place, row in enumerate(rows):
-        x = drawn.left - 10
-        for entry in row:
-            drawn.legend([entry], x=x, y=drawn.bottom + 42 + LEGEND_ROW_PX * place)
-            x += _entry_px(entry)
-    if cells is not None:
-        over += _levels(drawn, cells)
+    for place, row in enumerate(_legend_rows(_entries(chart), chart.width - 60)):
+        drawn.legend(row, x=42, y=drawn.bottom + 42 + LEGEND_ROW_PX * place)
+    for mark in chart.marks:
+        if isinstance(mark, marks.Cells):
+            over += _levels(drawn, mark)
     return drawn.text(extra=over)
+
+
+def _entries(chart: PlaneChart) -> list[Entry]:
+    """What the legend names: marks that have a label and do not bear it themselves."""
+    return [
+        (mark.label, mark.color, _legend_kind(mark))
+        for mark in chart.marks
+        if not isinstance(mark, marks.Cells | marks.Veil) and mark.label
+        if not isinstance(mark, marks.Rule) or mark.label_at == "legend"
+    ]
 
 
 def _in_places(axis: Axis) -> Axis:
@@ -398,7 +411,7 @@ def _places(axis: Axis, values: FloatArray) -> FloatArray:
     return np.array([decade(v) for v in np.asarray(values).tolist()]) if axis.log10 else values
 
 
-def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:
+def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:  # noqa: PLR0912
     """Put a mark on the plot; what has to lie over it comes back."""
     x, y = chart.x, chart.y
     match mark:
@@ -408,7 +421,18 @@ def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:
                 dash=mark.dash, opacity=mark.opacity, tip=mark.tip,
             )  # fmt: skip
         case marks.Points():
-            return _points(drawn, _places(x, mark.x), _places(y, mark.y), mark, act=act)
+            at, up = _places(x, mark.x), _places(y, mark.y)
+            if mark.joined:
+                drawn.line(at, up, color=mark.color)
+            return _points(drawn, at, up, mark, act=act)
+        case marks.Strokes():
+            ends = mark.y - mark.below, mark.y + mark.above
+            drawn.strokes(_places(x, mark.x), *ends, color=mark.color)
+        case marks.Band():
+            low, high = _places(y, np.array([mark.low, mark.high])).tolist()
+            drawn.band(low, high, color=mark.color, dash="" if mark.holds else marks.DOTTED)
+        case marks.Veil():
+            drawn.veil(mark.at, label=mark.label)
         case marks.Whiskers():
             at, low, high = _places(x, mark.x), _places(y, mark.low), _places(y, mark.high)
             for place, holds in enumerate(mark.holds):
@@ -420,7 +444,9 @@ def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:
             axis = x if mark.upright else y
             at = decade(mark.at) if axis.log10 else mark.at
             if not mark.upright:
-                drawn.hline(at, color=mark.color, label=mark.label, dash=mark.dash)
+                label = "" if mark.label_at == "legend" else mark.label
+                at_left = mark.label_at == "start"
+                drawn.hline(at, color=mark.color, label=label, dash=mark.dash, at_left=at_left)
                 return ""
             upright = [m for m in chart.marks if isinstance(m, marks.Rule) and m.upright]
             above = len(upright) - 1 - upright.index(mark)
@@ -439,21 +465,35 @@ def _draw(drawn: Plot, chart: PlaneChart, mark: marks.Mark, *, act: str) -> str:
 
 
 def _points(drawn: Plot, x: FloatArray, y: FloatArray, mark: marks.Points, *, act: str) -> str:
-    """Discs over all else, with a wider ring that a pointer finds; none beyond the axes."""
+    """Points over all else, with a wider ring that a pointer finds; none beyond the axes."""
     tips = mark.tips or ("",) * x.size
+    numbers = mark.numbers or (None,) * x.size
+    radii = np.broadcast_to(np.asarray(mark.radius, dtype=np.float64), x.shape).tolist()
     shapes: list[str] = []
-    for place, (at, up, tip) in enumerate(zip(x.tolist(), y.tolist(), tips, strict=True), start=1):
+    for at, up, radius, tip, number in zip(
+        x.tolist(), y.tolist(), radii, tips, numbers, strict=True
+    ):
         px, py = drawn.px(at), drawn.py(min(max(up, drawn.y.low), drawn.y.high))
-        if not drawn.left - 1 <= px <= drawn.right + 1:
+        if not (math.isfinite(py) and drawn.left - 1 <= px <= drawn.right + 1):
             continue
-        spot = f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{mark.radius}' fill='{mark.color}'"
-        ring = f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{mark.radius + 3}' fill='transparent'/>"
-        number = f" data-number='{place}'" if mark.clickable else ""
-        shapes.append(
-            f"<g{number}>{_tip(tip)}{spot} stroke='#ffffff' stroke-width='0.6'/>{ring}</g>"
+        spot = (
+            _cross(px, py, radius, color=mark.color)
+            if mark.crosses
+            else f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{radius}' fill='{mark.color}'"
+            " stroke='#ffffff' stroke-width='0.6'/>"
         )
-    clicks = f" {act} style='cursor:pointer'" if act and mark.clickable else ""
+        ring = f"<circle cx='{px:.1f}' cy='{py:.1f}' r='{radius + 3:g}' fill='transparent'/>"
+        numbered = "" if number is None else f" data-number='{number}'"
+        shapes.append(f"<g{numbered}>{_tip(tip)}{spot}{ring}</g>")
+    clicks = f" {act} style='cursor:pointer'" if act and mark.numbers else ""
     return f"<g{clicks}>{''.join(shapes)}</g>"
+
+
+def _cross(x: float, y: float, reach: float, *, color: str) -> str:
+    """A diagonal cross around a pixel position."""
+    across = f"l{2 * reach:.1f} {2 * reach:.1f}m0 {-2 * reach:.1f}l{-2 * reach:.1f} {2 * reach:.1f}"
+    path = f"<path d='M{x - reach:.1f} {y - reach:.1f}{across}'"
+    return f"{path} stroke='{color}' stroke-width='1.5' fill='none'/>"
 
 
 def _shades(drawn: Plot, mark: marks.Cells) -> str:
@@ -494,16 +534,20 @@ def _levels(drawn: Plot, cells: marks.Cells) -> str:
     return "".join(parts)
 
 
-def _legend_dash(mark: marks.Mark) -> str:
+def _legend_kind(mark: marks.Mark) -> str:  # noqa: PLR0911  one a kind
     match mark:
-        case marks.Line():
+        case marks.Line() | marks.Rule():
             return mark.dash
         case marks.Whiskers():
             return "" if all(mark.holds) else marks.DOTTED
+        case marks.Band():
+            return "" if mark.holds else marks.DOTTED
         case marks.Box():
             return marks.DASHED
         case marks.Points():
-            return "2 2"
+            return CROSS if mark.crosses else DISC
+        case marks.Strokes():
+            return STROKE
         case _:
             return ""
 

@@ -5,30 +5,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from pemviz.arrays import BoolArray
-from pemviz.colors import BLACK, METRICS, PEM, VERMILLION
+from pemviz.charts.chart import Line, PlaneChart
+from pemviz.colors import BLACK, METRICS, PEM
 from pemviz.config import MetricName
 from pemviz.config.toml_files import every_setting
 from pemviz.errors import InputError
-from pemviz.panel.curve_chart import (
-    RUN_DASHES,
-    Curves,
-    Line,
-    curves_svg,
-    over_common,
-    over_time,
-    signal_label,
-)
-from pemviz.panel.pieces import cells, number, progress_words, quiet
+from pemviz.panel.learning_page import detection_chart
+from pemviz.panel.pieces import RUN_DASHES, cells, drawn, number, progress_words, quiet
 from pemviz.panel.ranking import METRIC_NAMES, Ranking, elites, rank, row, scoring
 from pemviz.panel.run_data import RunData
+from pemviz.panel.weights_page import over_time
 from pemviz.reports.charts import RUN_COLORS, runs_chart
-from pemviz.reports.document import Block, Figure, Paragraph, Table
+from pemviz.reports.document import Block, Paragraph, Table
 from pemviz.reports.estimate_words import interval_text, probability_text
 from pemviz.reports.html import blocks_html, warning
 from pemviz.runs.reading import flat_settings
 from pemviz.runs.uncertainty import run_interval_caveats
 
-METRIC_DASHES = {"agm": (7.0, 3.0), "smooth-cumulative": (2.0, 3.0)}
+METRIC_DASHES = {"agm": "7 3", "smooth-cumulative": "2 3"}
 LETTERS = "ABCDEF"
 MOST_RUNS = len(LETTERS)
 LONGEST_SETTING = 40
@@ -51,7 +45,7 @@ def metrics_page(run: RunData) -> str:
     waiting = next((progress for progress in waits if progress is not None), None)
     if waiting is not None:
         return quiet(f"Scored: {progress_words(waiting)}.")
-    return run.memo.get("compare", lambda: cells(_overlaps(run), curves_svg(_metric_curves(run))))
+    return run.memo.get("compare", lambda: cells(_overlaps(run), drawn(metric_chart(run))))
 
 
 def _overlaps(run: RunData) -> str:
@@ -87,21 +81,20 @@ def _rankings(run: RunData) -> tuple[dict[MetricName, Ranking], list[str]]:
     return rankings, complaints
 
 
-def _metric_curves(run: RunData) -> Curves:
+def metric_chart(run: RunData) -> PlaneChart:
     """The charted signal against time of each metric's least robust rollout."""
-    charted = signal_label(run.charted)
     lines = [
         Line(
-            f"{metric}, {charted}",
+            run.time_s,
             run.signals(row(run, ranking, 0).index)[run.charted.name][0],
             METRICS.get(metric, BLACK),
+            metric,
             width=3.4 - 0.8 * place,
-            dash=METRIC_DASHES.get(metric, ()),
+            dash=METRIC_DASHES.get(metric, ""),
         )
         for place, (metric, ranking) in enumerate(_rankings(run)[0].items())
     ]
-    title = "Each metric's least robust rollout"
-    return over_time(run, title, lines, touch_color=VERMILLION)
+    return over_time(run, "Each metric's least robust rollout", lines)
 
 
 def runs_page(runs: Sequence[RunData]) -> str:
@@ -112,12 +105,10 @@ def runs_page(runs: Sequence[RunData]) -> str:
     doubted = any(run_interval_caveats(run.result) for run in runs)
     kind = "intervals (dashed: not a 95 % interval)" if doubted else "95 % intervals"
     chart = runs_chart(named, limit=None)
-    drawn = [] if chart is None else [Figure(chart, caption=f"P(violation) with {kind}.")]
     rows = tuple((f"{letter}  {run.name}", *_figures(run)) for letter, run in _lettered(runs))
-    curves = run_curves(runs)
     return cells(
-        "" if curves is None else curves_svg(curves),
-        blocks_html(drawn),
+        drawn(proposals_chart(runs)),
+        drawn(chart, caption=f"P(violation) with {kind}."),
         blocks_html([settings_table(runs)]),
         blocks_html([Table(ESTIMATES, rows, name="Estimates of the runs")]),
     )
@@ -162,26 +153,18 @@ def _setting(value: object) -> str:
     return words if len(words) <= LONGEST_SETTING else short
 
 
-def run_curves(runs: Sequence[RunData]) -> Curves | None:
+def proposals_chart(runs: Sequence[RunData]) -> PlaneChart | None:
     """P(detected) over the gap under the runs' last proposals and their error models."""
-    drawn = [run for run in runs if run.gap_m.size]
-    if len(runs) < 2 or not drawn:
+    drawn_of = [run for run in runs if run.gap_m.size]
+    if len(runs) < 2 or not drawn_of:
         return None
-    gap_m = max((run.gap_m for run in drawn), key=lambda grid_m: float(grid_m[-1]))
     lines: list[Line] = []
     for (letter, run), color, dash in zip(_lettered(runs), RUN_COLORS, RUN_DASHES, strict=False):
         if run.curves:
-            values = over_common(gap_m, run.gap_m, run.curves[-1].detection)
-            lines.append(Line(f"proposal {letter}", values, color, width=2.2, dash=dash))
-    models = {run.config.pem: run for run in reversed(drawn)}
+            values = run.curves[-1].detection
+            lines.append(Line(run.gap_m, values, color, f"proposal {letter}", width=2.2, dash=dash))
+    models = {run.config.pem: run for run in reversed(drawn_of)}
     for (name, run), dash in zip(models.items(), RUN_DASHES, strict=False):
-        values = over_common(gap_m, run.gap_m, run.pem_detection)
-        lines.append(Line(f"error model {name.rsplit('/', 1)[-1][:18]}", values, PEM, dash=dash))
-    return Curves(
-        title="P(detected) over the gap: last proposals",
-        x=gap_m,
-        x_label="gap [m]",
-        y_label="P(detected)",
-        lines=tuple(lines),
-        y_range=(0.0, 1.0),
-    )
+        label = f"error model {name.rsplit('/', 1)[-1][:18]}"
+        lines.append(Line(run.gap_m, run.pem_detection, PEM, label, dash=dash))
+    return detection_chart("P(detected) over the gap: last proposals", lines)

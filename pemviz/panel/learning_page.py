@@ -5,23 +5,30 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pemviz.charts.svg import Axis, Plot
+from pemviz.charts.chart import (
+    SOLID,
+    Axis,
+    Band,
+    Bars,
+    Line,
+    Mark,
+    PlaneChart,
+    Points,
+    Rule,
+    with_unit,
+)
 from pemviz.colors import BLUE, GREEN, GREY, ORANGE, PEM, PROPOSAL, VERMILLION
-from pemviz.panel.curve_chart import Curves, Line, curves_svg, over_common
-from pemviz.panel.pieces import cells, number, quiet
+from pemviz.panel.pieces import cells, drawn, number, quiet
 from pemviz.panel.run_data import RunData
 from pemviz.runs.result import StageSummary
 from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
 
-HEIGHT = 220
 OLDER = ("#E8894A", "#EDA878", "#F0BE9B", "#F3D0B7", "#F6DFCF")
 """Of proposals learned before the newest one, paler and paler."""
 FAR_BELOW = -60.0
 MOST_DECADES = 10.0
 LONGEST_NAME = 18
-DOUBTED = "3 3"
-"""How an interval is dashed that is no 95 % interval."""
 
 
 def learning(run: RunData) -> str:
@@ -34,19 +41,21 @@ def _learning(run: RunData) -> str:
     last = max((stage.repetition for stage in every), default=0)
     stages = [stage for stage in every if stage.repetition == last]
     several = len(stages) > 1 and method.stages != "parts"
-    plots = [_estimate_plot(run, stages if several else [])]
+    shown = stages if several and method.stage_interval != "none" else []
+    estimate = drawn(estimate_chart(run, shown), caption=_unseen_words(run, shown))
+    plots = [drawn(proposal_chart(run)), estimate]
     if several and method.stages == "runs":
         title = "Particles that violate at a run's end"
-        plots.append(_failure_plot(stages, title=title, each="run"))
+        plots.append(drawn(failure_chart(stages, title=title, each="run")))
     elif several:
-        unit = "" if run.config.metric == "agm" else " [m]"
-        plots += [_threshold_plot(stages, unit=unit), _failure_plot(stages), _ess_plot(stages)]
-    curves = proposal_curves(run)
-    drawn = "" if curves is None else curves_svg(curves)
-    return quiet(method.learning_words) + cells(drawn, *plots)
+        unit = "" if run.config.metric == "agm" else "m"
+        plots += [drawn(threshold_chart(stages, unit=unit)), drawn(failure_chart(stages))]
+        seen = any(stage.ess is not None for stage in stages)
+        plots.append(drawn(ess_chart(stages), caption="" if seen else "No violation yet."))
+    return quiet(method.learning_words) + cells(*plots)
 
 
-def proposal_curves(run: RunData) -> Curves | None:
+def proposal_chart(run: RunData) -> PlaneChart | None:
     """The newest proposal, some of those before it, and the error model."""
     if not run.gap_m.size:
         return None
@@ -59,130 +68,118 @@ def proposal_curves(run: RunData) -> Curves | None:
         newest_first = [newest_first[int(place)] for place in places]
     for age, curve in enumerate(newest_first):
         name = method.curve_name or f"proposal after stage {curve.stage}"
-        if run.running:  # the same name all along: the chart is not built anew at each stage
-            name = "newest proposal"
         color = PROPOSAL if age == 0 else OLDER[age - 1]
-        values = over_common(run.gap_m, run.gap_m, curve.detection)
-        lines.append(Line(name, values, color, width=2.6 if age == 0 else 1.4))
+        width = 2.6 if age == 0 else 1.4
+        lines.append(Line(run.gap_m, curve.detection, color, name, width=width))
     pem = run.config.pem.rsplit("/", 1)[-1]
     pem = pem if len(pem) <= LONGEST_NAME else pem[: LONGEST_NAME - 1] + "\N{HORIZONTAL ELLIPSIS}"
-    model = Line(f"error model ({pem})", run.pem_detection, PEM, 2.0, (7.0, 3.0))
+    model = Line(run.gap_m, run.pem_detection, PEM, f"error model ({pem})", width=2.0, dash="7 3")
     rollouts = run.curves_from
     means = "" if rollouts is None else f" (from {rollouts:,} rollouts a stage)"
-    return Curves(
-        title=f"P(detected) over the gap{means}",
-        x=run.gap_m,
-        x_label="gap [m]",
-        y_label="P(detected)",
-        lines=(*lines, model),
-        y_range=(0.0, 1.0),
-    )
+    return detection_chart(f"P(detected) over the gap{means}", (*lines, model))
 
 
-def _threshold_plot(stages: Sequence[StageSummary], *, unit: str) -> str:
+def detection_chart(title: str, lines: Sequence[Line]) -> PlaneChart:
+    """Curves of P(detected) over the gap."""
+    ends = [float(line.x[place]) for line in lines for place in (0, -1)]
+    x, y = Axis(min(ends), max(ends), "gap [m]"), Axis(0.0, 1.06, "P(detected)")
+    return PlaneChart(title, x, y, tuple(lines), width=420, height=240)
+
+
+def threshold_chart(stages: Sequence[StageSummary], *, unit: str) -> PlaneChart:
+    """The level of each stage."""
     points = [(s.stage, s.threshold) for s in stages if s.threshold is not None]
     known = [0.0, *(value for _, value in points)]
     margin = 0.08 * (max(known) - min(known)) or 1.0
-    plot = Plot(
-        title="Threshold: rollouts at or below it are learned from",
+    rule = Rule(0.0, "violation below 0", VERMILLION, upright=False)
+    return PlaneChart(
+        "Threshold: rollouts at or below it are learned from",
         x=_stage_axis(stages),
-        y=Axis(min(known) - margin, max(known) + margin, f"robustness{unit}"),
-        height=HEIGHT,
+        y=Axis(min(known) - margin, max(known) + margin, with_unit("robustness", unit)),
+        marks=(rule, _dots(points, BLUE, "threshold")),
     )
-    plot.hline(0.0, color=VERMILLION, label="violation below 0")
-    _dots(plot, points, color=BLUE)
-    return plot.text()
 
 
-def _failure_plot(
-    stages: Sequence[StageSummary],
-    *,
-    title: str = "Rollouts that violate",
-    each: str = "stage",
-) -> str:
+def failure_chart(
+    stages: Sequence[StageSummary], *, title: str = "Rollouts that violate", each: str = "stage"
+) -> PlaneChart:
+    """How many rollouts of each stage violate."""
+    numbers = range(max((s.stage for s in stages), default=0) + 1)
+    of = {stage.stage: stage for stage in stages if stage.rollouts}
+    counts = [(of[n].failures, of[n].rollouts) if n in of else (0, 0) for n in numbers]
+    bars = Bars(
+        np.arange(len(numbers) + 1, dtype=np.float64) - 0.5,
+        np.array([100.0 * failed / all_of if all_of else math.nan for failed, all_of in counts]),
+        ORANGE,
+        tips=tuple(f"{each} {n}: {failed} of {of}" for n, (failed, of) in enumerate(counts)),
+    )
     share = Axis(0.0, 100.0, "share [%]", ticks=(0.0, 50.0, 100.0))
-    plot = Plot(title=title, x=_stage_axis(stages, each), y=share, height=HEIGHT)
-    for stage in stages:
-        if stage.rollouts:
-            edges = np.array([stage.stage - 0.35, stage.stage + 0.35])
-            heights = np.array([100.0 * stage.failures / stage.rollouts])
-            tip = f"{each} {stage.stage}: {stage.failures} of {stage.rollouts}"
-            plot.bars(edges, heights, color=ORANGE, tips=[tip])
-    return plot.text()
+    return PlaneChart(title, x=_stage_axis(stages, each), y=share, marks=(bars,))
 
 
-def _ess_plot(stages: Sequence[StageSummary]) -> str:
+def ess_chart(stages: Sequence[StageSummary]) -> PlaneChart:
+    """The effective sample size of each stage's violations."""
     points = [(s.stage, s.ess) for s in stages if s.ess is not None]
     top = max([1.2 * SMALL_ESS, *(ess for _, ess in points)]) * 1.1
-    plot = Plot(
-        title="Effective sample size of the violations",
+    rule = Rule(SMALL_ESS, f"below {SMALL_ESS:g}: do not quote", GREY, upright=False)
+    return PlaneChart(
+        "Effective sample size of the violations",
         x=_stage_axis(stages),
         y=Axis(0.0, top, "rollouts"),
-        height=HEIGHT,
+        marks=(rule, _dots(points, GREEN, "effective sample size")),
     )
-    plot.hline(SMALL_ESS, color=GREY, label=f"below {SMALL_ESS:g}: do not quote")
-    _dots(plot, points, color=GREEN)
-    if not points:
-        plot.note("no violation yet", (plot.left + plot.right) / 2, plot.top + 30, anchor="middle")
-    return plot.text()
 
 
-def _dots(plot: Plot, points: Sequence[tuple[int, float]], *, color: str) -> None:
-    xs, ys = [float(stage) for stage, _ in points], [value for _, value in points]
-    plot.line(np.array(xs), np.array(ys), color=color)
-    tips = [f"stage {stage}: {number(value)}" for stage, value in points]
-    plot.points(xs, ys, color=color, tips=tips)
+def _dots(points: Sequence[tuple[int, float]], color: str, name: str) -> Points:
+    tips = tuple(f"stage {stage}: {number(value)}" for stage, value in points)
+    x, y = np.array(points, dtype=np.float64).reshape(-1, 2).T
+    return Points(x, y, color, tips=tips, joined=True, name=name)
 
 
-def _estimate_plot(run: RunData, stages: Sequence[StageSummary]) -> str:
+def estimate_chart(run: RunData, stages: Sequence[StageSummary]) -> PlaneChart:
     """Estimates of stages, the answer with its interval, and the reference, on a log axis."""
     estimate, reference = run.result.estimate, run.result.reference
-    method = run.method
-    each, several = method.stage_name, bool(stages) and method.stage_interval != "none"
-    points: list[tuple[float, float]] = []
-    if several:
-        every = ((float(s.stage), s.log10_probability) for s in stages)
-        points = [(stage, value) for stage, value in every if value is not None]
-    answer = [] if estimate is None else _logs(estimate.probability)
-    interval = [] if estimate is None else _logs(estimate.ci_low, estimate.ci_high)
-    bound = [] if answer or estimate is None else _logs(estimate.ci_high)
+    each = run.method.stage_name
+    alone = [(s.stage, s.log10_probability) for s in stages if s.log10_probability is not None]
+    marks: list[Mark] = []
+    if reference is not None:
+        marks.append(
+            Rule(reference.probability, "reference", GREEN, SOLID, upright=False, label_at="legend")
+        )
+    ends: list[float | None] = []
+    if estimate is not None:
+        caveats = run_interval_caveats(run.result)
+        of_level = "not a 95 %" if caveats else "95 %"
+        ends = [estimate.probability, estimate.ci_low, estimate.ci_high]
+        if estimate.probability == 0.0 and estimate.ci_high:
+            label = f"no violation seen: {of_level} upper bound"
+            marks.append(Rule(estimate.ci_high, label, VERMILLION, upright=False))
+        elif estimate.ci_low is not None and estimate.ci_high:
+            label = f"answer's {of_level} interval"
+            marks.append(Band(estimate.ci_low, estimate.ci_high, VERMILLION, label, not caveats))
+        if estimate.probability > 0.0:
+            answer = Rule(estimate.probability, "answer", VERMILLION, SOLID, upright=False,
+                label_at="legend")  # fmt: skip
+            marks.append(answer)
     exact = [] if reference is None else _logs(reference.probability)
-    low, high = _decades([*(v for _, v in points), *exact, *answer, *interval])
-    x = _stage_axis(stages, each) if several else Axis(-1.0, 1.0, "all rollouts", ticks=())
-    plot = Plot(
-        title="Estimate of P(violation)",
-        x=x,
-        y=Axis(low, high, "probability", log10=True),
-        height=HEIGHT,
-        left=52,
-        bottom=48,
-    )
-    caveats = run_interval_caveats(run.result)
-    of_level, dash = ("not a 95 %", DOUBTED) if caveats else ("95 %", "")
-    for value in exact:
-        plot.hline(value, color=GREEN, dash="", label="reference")
-    for value in bound:
-        plot.hline(value, color=VERMILLION, label=f"no violation seen: {of_level} upper bound")
-    in_range = [(s, v) for s, v in points if v >= low]
-    tips = [f"{each} {s:g} alone: {number(10.0**v)}" for s, v in in_range]
-    plot.points([s for s, _ in in_range], [v for _, v in in_range], color=GREY, tips=tips)
-    at = x.high - 0.35 if several else 0.0
-    for value in answer:
-        if len(interval) == 2:
-            plot.whisker(at, *interval, color=VERMILLION, dash=dash)
-        tip = f"answer {number(10.0**value)}"
-        plot.points([at], [value], color=VERMILLION, radius=4.0, tips=[tip])
-    if not (answer or in_range or bound):
-        words = "no violation yet" if run.running else "no violation seen"
-        plot.note(words, (plot.left + plot.right) / 2, plot.top + 50, anchor="middle")
-    entries = [(f"a {each} alone", GREY, "")] * several
-    entries.append((f"answer, {of_level} interval", VERMILLION, dash))
-    entries += [("reference", GREEN, "")] * (reference is not None)
-    begin = plot.left
-    for entry in entries:  # side by side beneath the plot
-        plot.legend([entry], x=begin, y=plot.height - 6)
-        begin += 27 + round(5.3 * len(entry[0]))
-    return plot.text()
+    low, high = _decades([*(value for _, value in alone), *exact, *_logs(*ends)])
+    if alone:
+        tips = tuple(f"{each} {stage} alone: {number(10.0**value)}" for stage, value in alone)
+        x, y = np.array([(stage, 10.0**value) for stage, value in alone]).T
+        marks.append(Points(x, y, GREY, f"a {each} alone", tips=tips))
+    x_axis = _stage_axis(stages, each) if stages else Axis(0.0, 1.0, "all rollouts", ticks=())
+    y_axis = Axis(10.0**low, 10.0**high, "probability", log10=True)
+    return PlaneChart("Estimate of P(violation)", x_axis, y_axis, tuple(marks))
+
+
+def _unseen_words(run: RunData, stages: Sequence[StageSummary]) -> str:
+    """What is said where there is no estimate."""
+    estimate = run.result.estimate
+    if any(s.log10_probability is not None for s in stages):
+        return ""
+    if estimate is not None and (estimate.probability > 0.0 or estimate.ci_high):
+        return ""
+    return "No violation yet." if run.running else "No violation seen."
 
 
 def _decades(values: Sequence[float]) -> tuple[float, float]:

@@ -136,7 +136,7 @@ def _own_scenario(config: ExperimentConfig) -> Simulator | SlotSimulator | None:
     """The scenario that ``config`` names, if it is another than the braking scenario.
 
     Raises:
-        InputError: There is none of that name here, or nothing to draw.
+        InputError: There is none of that name here.
     """
     if config.is_braking_scenario:
         return None

@@ -2,11 +2,16 @@
 
 import math
 
+from pemviz.charts.chart import Chart, with_unit
 from pemviz.panel.run_data import ScanProgress
-from pemviz.reports.html import paragraph
+from pemviz.reports.document import Figure
+from pemviz.reports.html import blocks_html, paragraph
+from pemviz.types import Signal
 
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
+RUN_DASHES = ("", "6 3", "2 3", "9 3 2 3", "12 4", "4 4")
+"""Of lines side by side, beside their colours: as many as can be told apart."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -30,6 +35,21 @@ def percent(value: float) -> str:
 def quiet(words: str) -> str:
     """An explanation."""
     return paragraph(words, "quiet")
+
+
+def drawn(chart: Chart | None, *, caption: str = "", target: str = "") -> str:
+    """A chart that can be saved; nothing without one. ``target``: what clicks on points are for."""
+    return "" if chart is None else blocks_html([Figure(chart, caption, target=target)], live=True)
+
+
+def signal_name(signal: Signal) -> str:
+    """A signal in words."""
+    return signal.name.replace("_", " ")
+
+
+def signal_label(signal: Signal) -> str:
+    """A signal in words with its unit."""
+    return with_unit(signal_name(signal), signal.unit)
 
 
 def cells(*bodies: str) -> str:

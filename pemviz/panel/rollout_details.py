@@ -7,10 +7,9 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import FloatArray
-from pemviz.charts.svg import Axis, Plot
+from pemviz.charts.chart import Axis, Line, PlaneChart
 from pemviz.latents import Latents
-from pemviz.panel.curve_chart import signal_name
-from pemviz.panel.pieces import number
+from pemviz.panel.pieces import drawn, number, signal_name
 from pemviz.panel.ranking import RankedRow
 from pemviz.panel.rollout_tables import final_violations
 from pemviz.panel.run_data import RunData
@@ -23,7 +22,7 @@ from pemviz.simulators.latents import NamesStarts, within
 from pemviz.types import Simulator
 
 MOST_LATENTS = 12
-NOISE_WIDTH, NOISE_HEIGHT = 390, 130
+NOISE_HEIGHT = 130
 BROKEN, KEPT = Verdict("no", "broken"), Verdict("yes", "kept")
 ALL_RULES = "all rules"
 
@@ -43,7 +42,7 @@ def details(run: RunData, entry: RankedRow, *, contact: str = "") -> str:
     if latents is not None:
         if latents.start.size:
             blocks.append(Paragraph(_start_words(run, latents), tone="quiet"))
-        plot = _noise(run, latents)
+        plot = drawn(noise_chart(run, latents))
     shown = blocks_html(blocks) + plot
     return heading("The rollout shown") + shown if shown else ""
 
@@ -79,22 +78,24 @@ def _listed(values: FloatArray) -> str:
     return shown if more <= MOST_LATENTS else f"{shown} and {more - MOST_LATENTS} more"
 
 
-def _noise(run: RunData, latents: Latents) -> str:
+def noise_chart(run: RunData, latents: Latents) -> PlaneChart | None:
+    """The latents of a rollout's steps, as many as there are colours; ``None`` without any."""
     noise: FloatArray = latents.noise[0, :, : len(RUN_COLORS)]
     if not noise.size:
-        return ""
+        return None
     reach = max(3.0, float(np.max(np.abs(noise))) * 1.05)
-    time_s = run.time_s
-    plot = Plot(
+    steps_s = run.time_s[: len(noise)]
+    lines = tuple(
+        Line(steps_s, values, color, width=1.2, name=f"latent {place}")
+        for place, (values, color) in enumerate(zip(noise.T, RUN_COLORS, strict=False), start=1)
+    )
+    return PlaneChart(
         title="Standard normals of its steps",
-        x=Axis(0.0, float(time_s[-1]), "time [s]"),
+        x=Axis(0.0, float(run.time_s[-1]), "time [s]"),
         y=Axis(-reach, reach, "standard deviations"),
-        width=NOISE_WIDTH,
+        marks=lines,
         height=NOISE_HEIGHT,
     )
-    for values, color in zip(noise.T, RUN_COLORS, strict=False):
-        plot.line(time_s[:-1], values, color=color, width=1.2)
-    return plot.text()
 
 
 def opens_on(run: RunData) -> str:

@@ -190,6 +190,11 @@ class RunData:
         return VectorizedSimulator(self.config.scenario) if self.own is None else self.own
 
     @property
+    def has_scene(self) -> bool:
+        """Whether the scenario tells where its cars are."""
+        return drawn_scene(self.simulator) is not None
+
+    @property
     def charted(self) -> Signal:
         """The signal that charts draw: the gap, elsewhere what the specification is about first."""
         if self.own is None:
@@ -296,22 +301,12 @@ def detection_probability(log_likelihood: FloatArray, detected: BoolArray) -> Fl
 def own_scenario(
     simulator: Simulator | SlotSimulator, config: ExperimentConfig
 ) -> Simulator | SlotSimulator | None:
-    """The simulator itself, unless its rollouts look like the braking scenario's.
-
-    Raises:
-        InputError: They do not, and it does not tell where its cars are: there is nothing to draw.
-    """
+    """The simulator itself, unless its rollouts look like the braking scenario's."""
     scenario = config.scenario
     drawn = {signal.name: signal.key for signal in scenario_signals(scenario)}
     offered = {signal.name: signal.key for signal in simulator.signals}
-    times = (simulator.states, simulator.dt_s)
-    if offered == drawn and times == (scenario.states, scenario.dt_s):
-        return None
-    if drawn_scene(simulator) is None:
-        message = (
-            f"simulator = {config.simulator!r}: the panel draws a car behind another "
-            f"({', '.join(drawn)}; scenario.states and dt_s), or a simulator that tells where its "
-            "cars are (pemviz.DrawsScene); use pemviz record and pemviz open"
-        )
-        raise InputError(message)
-    return simulator
+    same = offered == drawn and (simulator.states, simulator.dt_s) == (
+        scenario.states,
+        scenario.dt_s,
+    )
+    return None if same else simulator

@@ -1,20 +1,22 @@
 """What the page of a run asks for: its answer, its ranked rollouts, a rollout, pages beside it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import BoolArray
-from pemviz.charts.svg import Plot
+from pemviz.arrays import FloatArray
+from pemviz.charts.chart import PlaneChart
+from pemviz.charts.svg import plot_of
 from pemviz.config import MetricName
 from pemviz.panel.arguments import Arguments
 from pemviz.panel.compare_page import MOST_RUNS, metrics_page, runs_page
 from pemviz.panel.learning_page import learning
 from pemviz.panel.page_scene import VIEWS
+from pemviz.panel.pieces import drawn, signal_name
 from pemviz.panel.ranking import METRIC_NAMES, RankedRow, Ranking, rank, row, scoring
-from pemviz.panel.rollout_charts import Track, step_words, track, track_axes, track_plots
+from pemviz.panel.rollout_charts import Track, stage_charts, step_words, track, track_charts
 from pemviz.panel.rollout_details import ALL_RULES, details, opens_on
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
@@ -26,7 +28,7 @@ from pemviz.reports.causes_words import shown_chains
 from pemviz.reports.html import sections_html
 from pemviz.reports.run_document import run_document
 from pemviz.runs.answers import rules_in_order
-from pemviz.runs.drawn_rollout import RIGHT, WRONG
+from pemviz.runs.drawn_rollout import RIGHT
 
 MOST_ROWS = 200
 """Of a ranking, in one answer."""
@@ -43,6 +45,11 @@ SCENE_WORDS = (
     "blue marks where the ego detected it, upright crosses where it erred. White lines: where "
     "the controller tracks a car, with an ellipse of two standard deviations where it knows any. "
     "From contact on the cars are grey."
+)
+NO_SCENE_WORDS = (
+    "The scenario does not say where cars are (pemviz.DrawsScene), so its signals stand in the "
+    "place of a scene, on the timeline's axis. Orange dots: perception errs at that step. Lines "
+    "across: what the rule compares a signal with."
 )
 CHAIN, START = "chain", "start"
 """What can be clicked beside a rollout's point: a chain of misses, a violation's start."""
@@ -101,7 +108,8 @@ class RunPlace:
             "kept": run.kept,
             "simulated": run.simulated,
             "running": run.running,
-            "scene_words": SCENE_WORDS,
+            "scene": run.has_scene,
+            "scene_words": SCENE_WORDS if run.has_scene else NO_SCENE_WORDS,
         }
 
     def _ranking(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
@@ -123,34 +131,38 @@ class RunPlace:
         }
 
     def _rollout(self, page: Page, asked: Arguments) -> Any:
-        """A rollout by its rank; the scene shows it."""
+        """A rollout by its rank; the scene shows it, or its signals in the scene's place."""
         run = self._find(asked.text("run"))
         entry = _entry(run, asked)
         if entry is None:
             return None
         chosen = track(run, entry)
         step = asked.whole("step", -1, 10_000_000, -1)
-        step = chosen.interesting_step if step < 0 else min(step, chosen.drawn.count - 1)
-        page.scene.show(chosen.drawn, step=step)
+        step = chosen.interesting_step if step < 0 else min(step, chosen.count - 1)
+        contact = "" if chosen.drawn is None else chosen.drawn.contact_words
+        if chosen.drawn is not None:
+            page.scene.show(chosen.drawn, step=step)
+        width, height = asked.whole("width", 200, 4000, 600), asked.whole("height", 100, 4000, 320)
         return {
             "rank": entry.rank,
             "step": step,
             "row": _row(run, entry),
             "title": chosen.title,
-            "states": chosen.drawn.count,
-            "dt_s": chosen.drawn.dt_s,
-            "contact": chosen.drawn.contact_step,
-            "contact_words": chosen.drawn.contact_words,
+            "states": chosen.count,
+            "dt_s": chosen.dt_s,
+            "contact": chosen.contact_step,
             **_timeline(chosen),
-            "charts": _charts(chosen, width=asked.whole("width", 200, 4000, 600)),
-            "details": details(run, entry, contact=chosen.drawn.contact_words),
+            "stage": [_chart(one) for one in stage_charts(chosen, width=width, height=height)],
+            "charts": [_chart(one) for one in track_charts(chosen, width=width)],
+            "details": details(run, entry, contact=contact),
         }
 
     def _scene_page(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
         """The scene of a rollout as an HTML page that plays without a server."""
         run = self._find(asked.text("run"))
         entry = _entry(run, asked)
-        return None if entry is None else scene_html(track(run, entry).drawn)
+        chosen = None if entry is None else track(run, entry).drawn
+        return None if chosen is None else scene_html(chosen)
 
     def _step(self, page: Page, asked: Arguments) -> Any:
         page.scene.at(asked.whole("step", 0, 10_000_000), follow=asked.flag("follow", True))
@@ -170,7 +182,7 @@ class RunPlace:
             html = DRAWN[name](run)
         else:
             document = run_document(run.result, running=run.running)
-            html = sections_html(document.choose(DOCUMENTS[name]))
+            html = sections_html(document.choose(DOCUMENTS[name]), live=True)
         return {"html": html, "waits": run.scans.under_way}
 
     def _pick(self, page: Page, asked: Arguments) -> Any:  # noqa: ARG002
@@ -257,26 +269,35 @@ def _row(run: RunData, entry: RankedRow) -> Mapping[str, Any]:
 
 def _timeline(chosen: Track) -> Mapping[str, Any]:
     """What perception did at each step, and what is said at each state."""
-    drawn = chosen.drawn
-    end = drawn.count - 1 if drawn.contact_step is None else drawn.contact_step
-    wrong: BoolArray = np.any(drawn.answers[:end] == WRONG, axis=1)
-    right: BoolArray = np.any(drawn.answers[:end] == RIGHT, axis=1)
+    end = chosen.count - 1 if chosen.contact_step is None else chosen.contact_step
+    right = np.any(chosen.answers[:end] == RIGHT, axis=1)
     return {
-        "misses": np.flatnonzero(wrong).tolist(),
-        "detections": np.flatnonzero(right & ~wrong).tolist(),
-        "signal": chosen.charted.name,
-        "unit": chosen.charted.unit,
-        "values": [round(float(value), 4) for value in chosen.values],
-        "speeds": [round(float(value), 3) for value in drawn.states.speed_mps[:, 0]],
-        "words": [step_words(chosen, step) for step in range(drawn.count)],
+        "misses": np.flatnonzero(chosen.missed).tolist(),
+        "detections": np.flatnonzero(right & ~chosen.missed[:end]).tolist(),
+        "readings": list(_readings(chosen)),
+        "words": [step_words(chosen, step) for step in range(chosen.count)],
     }
 
 
-def _charts(chosen: Track, *, width: int) -> list[Mapping[str, Any]]:
-    """The charts that share the timeline, with where their time axes lie."""
-    drawn = zip(track_plots(chosen, width=width), track_axes(chosen, width=width), strict=True)
-    return [{"svg": svg, **_span(plot)} for svg, plot in drawn]
+def _readings(chosen: Track) -> Iterator[Mapping[str, Any]]:
+    """What is read off at a state: the charted signal and the ego's speed, else all signals."""
+    shown: list[tuple[str, str, FloatArray]]
+    if chosen.drawn is None:
+        shown = [(signal_name(s), s.unit, values) for s, values in chosen.signals.items()]
+    else:
+        shown = [(signal_name(chosen.charted), chosen.charted.unit, chosen.values)]
+        shown.append(("ego", "m/s", chosen.drawn.states.speed_mps[:, 0]))
+    for name, unit, values in shown:
+        yield {"name": name, "unit": unit, "values": [float(f"{v:.4g}") for v in values.tolist()]}
 
 
-def _span(plot: Plot) -> Mapping[str, Any]:
-    return {"left": plot.left / plot.width, "right": plot.right / plot.width}
+def _chart(chart: PlaneChart) -> Mapping[str, Any]:
+    """A chart against time, and where its axes lie: shares of its width, pixels from its top."""
+    plot = plot_of(chart)
+    return {
+        "html": drawn(chart),
+        "left": plot.left / plot.width,
+        "right": plot.right / plot.width,
+        "top": plot.top,
+        "bottom": plot.bottom,
+    }

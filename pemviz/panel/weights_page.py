@@ -1,20 +1,29 @@
 """The Weights page: weights over robustness, and how near the cars come."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import FloatArray, IntArray
-from pemviz.charts.svg import Axis, Plot, text
+from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.charts.chart import Axis, Line, Mark, PlaneChart, Points, Rule, with_unit
 from pemviz.colors import BLACK, BLUE, GREY, MISSED, VERMILLION
-from pemviz.panel.curve_chart import RUN_DASHES, Curves, Line, curves_svg, over_time, signal_name
-from pemviz.panel.pieces import cells, number, percent, progress_words, quiet
+from pemviz.panel.pieces import (
+    RUN_DASHES,
+    cells,
+    drawn,
+    number,
+    percent,
+    progress_words,
+    quiet,
+    signal_label,
+    signal_name,
+)
 from pemviz.panel.ranking import shares
 from pemviz.panel.rollout_tables import in_final_stages
 from pemviz.panel.run_data import Report, RunData, Scan, ScanProgress, row_parts
 from pemviz.reports.charts import RUN_COLORS
-from pemviz.reports.html import clicks_to
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 
 MOST_POINTS = 1_000
@@ -23,6 +32,7 @@ POINTS = "point"
 HEIGHT = 300
 FARTHEST = -60.0
 """Decades below which weights are drawn at the lower edge."""
+MOST_DECADES = 300.0
 LN10 = math.log(10.0)
 
 
@@ -33,13 +43,14 @@ def weights_page(run: RunData) -> str:
     if run.running:
         return quiet("Drawn when the run under way is done.")
     weights = run.memo.get("weights", lambda: _weights(run))
-    heaviest = heaviest_curves(run)
     waiting = looking_at_gaps(run)
     if waiting is not None:
         gaps = quiet(f"Least gaps: {progress_words(waiting)}.")
     else:
         gaps = run.memo.get("least gaps", lambda: _least_gaps(run))
-    return cells(weights, gaps, "" if heaviest is None else curves_svg(heaviest))
+    return cells(
+        weights, gaps, drawn(heaviest_chart(run), caption="In brackets: share of the answer.")
+    )
 
 
 def drawn_points(run: RunData, *, most: int = MOST_POINTS) -> IntArray:
@@ -68,14 +79,7 @@ def _weights(run: RunData) -> str:
     """The plot of weights over robustness."""
     if not run.method.has_likelihood_ratios:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here.")
-    plot, index = _weight_axes(run)
-    plot.vline(0.0, color=VERMILLION, label="0")
-    shapes = "".join(_point(run, plot, one) for one in index.tolist())
-    group = f"<g {clicks_to(POINTS)}>{shapes}</g>"
-    y = plot.height - 6.0
-    violates = "\N{MULTIPLICATION X} violates; larger: more of the answer"
-    group += text(violates, plot.left, y, color=MISSED)
-    group += text("\N{BLACK CIRCLE} does not", plot.left + 210, y, color=BLUE)
+    index = run.memo.get("drawn points", lambda: drawn_points(run))
     words = (
         "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
         "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
@@ -87,24 +91,51 @@ def _weights(run: RunData) -> str:
             f"{MOST_POINTS // 2} those that contribute most, and of the others some evenly by "
             "robustness, from the least robust on."
         )
-    return plot.text(extra=group) + quiet(words)
+    return drawn(weight_chart(run, index), target=POINTS) + quiet(words)
 
 
-def _weight_axes(run: RunData) -> tuple[Plot, IntArray]:
-    """The empty plot, and which rollouts are drawn in it."""
-    index = run.memo.get("drawn points", lambda: drawn_points(run))
-    unit = "" if run.config.metric == "agm" else " [m]"
-    low, high = _ends(np.asarray(run.rollouts["robustness"][index], np.float64), least=0.1)
-    bottom, top = _ends(np.maximum(run.log_weight[index] / LN10, FARTHEST), least=1.0)
-    plot = Plot(
+def weight_chart(run: RunData, index: IntArray) -> PlaneChart:
+    """Weights over robustness of the rollouts ``index`` ``[P]``.
+
+    Those that violate are crosses, larger where they are some of those that carry the answer.
+    """
+    robustness = np.asarray(run.rollouts["robustness"][index], np.float64)
+    violated = np.asarray(run.rollouts["violated"][index], dtype=np.bool_)
+    log10_weight, share = run.log_weight[index] / LN10, shares(run)[index]
+    radius = 2.4 + 3.0 * np.sqrt(np.minimum(share / 0.05, 1.0))
+    tips = [_tip(run, *one) for one in zip(index.tolist(), log10_weight, share, strict=True)]
+
+    def points(chosen: BoolArray, color: str, label: str) -> Points:
+        places = np.flatnonzero(chosen)
+        return Points(
+            robustness[places], log10_weight[places], color, label,
+            radius=np.where(chosen, radius, 2.2)[places] if color == MISSED else 2.2,
+            tips=tuple(tips[place] for place in places.tolist()),
+            numbers=tuple(index[places].tolist()), crosses=color == MISSED,
+        )  # fmt: skip
+
+    metric = run.config.metric
+    low, high = _ends(robustness, least=0.1)
+    bottom, top = _ends(np.maximum(log10_weight, FARTHEST), least=1.0)
+    return PlaneChart(
         title="Weight over robustness",
-        x=Axis(low, high, f"robustness, {run.config.metric}{unit}"),
-        y=Axis(bottom, top, "weight p / q", log10=True),
+        x=Axis(low, high, with_unit(f"robustness, {metric}", "" if metric == "agm" else "m")),
+        y=Axis(bottom, top, "log10 of the weight p / q"),
+        marks=(
+            Rule(0.0, "0", VERMILLION),
+            points(~violated, BLUE, "does not violate"),
+            points(violated, MISSED, "violates; larger: more of the answer"),
+        ),
         height=HEIGHT,
-        left=54,
-        bottom=50,
     )
-    return plot, index
+
+
+def _tip(run: RunData, index: int, log10_weight: float, share: float) -> str:
+    part = f", {percent(share)} of the answer" if share >= 5e-4 else ""
+    stage, rollout = (int(run.rollouts[key][index]) for key in ("stage", "rollout"))
+    robustness = number(float(run.rollouts["robustness"][index]))
+    weight = number(10.0 ** min(log10_weight, MOST_DECADES))
+    return f"stage {stage}, rollout {rollout}: robustness {robustness}, weight {weight}{part}"
 
 
 def _ends(values: FloatArray, *, least: float) -> tuple[float, float]:
@@ -113,57 +144,50 @@ def _ends(values: FloatArray, *, least: float) -> tuple[float, float]:
     return low - room, high + room
 
 
-def _at(run: RunData, plot: Plot, index: int) -> tuple[float, float]:
-    weight = max(float(run.log_weight[index]) / LN10, FARTHEST)
-    return plot.px(float(run.rollouts["robustness"][index])), plot.py(weight)
-
-
-def _point(run: RunData, plot: Plot, index: int) -> str:
-    """A rollout, as a cross if it violates; larger if it is one of those that carry the answer."""
-    share, (x, y) = float(shares(run)[index]), _at(run, plot, index)
-    part = f", {percent(share)} of the answer" if share >= 5e-4 else ""
-    stage, rollout = (int(run.rollouts[key][index]) for key in ("stage", "rollout"))
-    tip = (
-        f"stage {stage}, rollout {rollout}: robustness "
-        f"{number(float(run.rollouts['robustness'][index]))}, weight "
-        f"{number(10.0 ** (float(run.log_weight[index]) / LN10))}{part}"
-    )
-    if run.rollouts["violated"][index]:
-        r = 2.4 + 3.0 * math.sqrt(min(share / 0.05, 1.0))
-        shape = f"<path d='M{x - r:.1f} {y - r:.1f}l{2 * r:.1f} {2 * r:.1f}m0 {-2 * r:.1f}"
-        shape += f"l{-2 * r:.1f} {2 * r:.1f}' stroke='{MISSED}' stroke-width='1.5' fill='none'/>"
-    else:
-        shape = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.2' fill='{BLUE}' fill-opacity='0.6'/>"
-    hit = f"<circle cx='{x:.1f}' cy='{y:.1f}' r='5' fill='transparent'/>"
-    return f"<g data-number='{index}'>{shape}{hit}<title>{tip}</title></g>"
-
-
-def heaviest_curves(run: RunData) -> Curves | None:
+def heaviest_chart(run: RunData) -> PlaneChart | None:
     """Gap over time of the rollouts that contribute most to the answer."""
     if not run.parts or run.running:
         return None
-    return run.memo.get("heaviest", lambda: _heaviest_curves(run))
+    return run.memo.get("heaviest", lambda: _heaviest_chart(run))
 
 
-def _heaviest_curves(run: RunData) -> Curves | None:
+def _heaviest_chart(run: RunData) -> PlaneChart | None:
     share = shares(run)
     heaviest = np.argsort(-share, kind="stable")[: len(RUN_COLORS)]
     heaviest = heaviest[share[heaviest] > 0.0]
     if not heaviest.size:
         return None
-    unit = f" [{run.charted.unit}]" if run.charted.unit else ""
     lines = [
         Line(
-            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))}){unit}",
+            run.time_s,
             run.signals(index)[run.charted.name][0],
             RUN_COLORS[place],
+            f"rollout {int(run.rollouts['rollout'][index])} ({percent(float(share[index]))})",
             dash=RUN_DASHES[place],
         )
         for place, index in enumerate(heaviest.tolist())
     ]
     name = signal_name(run.charted).capitalize()
-    title = f"{name} of the rollouts that contribute most (share of the answer)"
-    return over_time(run, title, lines, touch_color=BLACK)
+    title = f"{name} of the rollouts that contribute most"
+    return over_time(run, title, lines)
+
+
+def over_time(run: RunData, title: str, lines: Sequence[Line]) -> PlaneChart:
+    """The charted signal of rollouts against time, and where bumpers touch, if that is known."""
+    touch: tuple[Mark, ...] = ()
+    ends = [float(end(line.y)) for line in lines for end in (np.min, np.max)]
+    if run.own is None:
+        touch = (Rule(CAMERA_TO_BUMPER_M, "bumpers touch", BLACK, upright=False),)
+        ends.append(CAMERA_TO_BUMPER_M)
+    low, high = min(0.0, *ends), max(0.0, *ends)
+    return PlaneChart(
+        title,
+        x=Axis(0.0, float(run.time_s[-1]), "time [s]"),
+        y=Axis(low, high + (0.06 * (high - low) or 1.0), signal_label(run.charted)),
+        marks=(*touch, *lines),
+        width=420,
+        height=240,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,30 +247,7 @@ def _least_gaps(run: RunData) -> str:
     gaps = least_gaps(run)
     if gaps is None:
         return quiet("No rollouts that the answer rests on yet.")
-    low, high = _ends(gaps.gap_m, least=1.0)
-    logs = [np.log10(gaps.sampled), gaps.log10_probability]
-    floor = max(min(float(np.min(v[np.isfinite(v)], initial=0.0)) for v in logs), FARTHEST)
-    plot = Plot(
-        title="How near the cars come",
-        x=Axis(low, high, f"least {signal_name(run.distance)} in a rollout [m]"),
-        y=Axis(math.floor(floor) - 0.5, 0.4, "probability of less", log10=True),
-        height=HEIGHT,
-        left=54,
-        bottom=50,
-    )
-    touch_m, touching = (
-        (CAMERA_TO_BUMPER_M, "bumpers touch") if run.own is None else (0.0, "contact")
-    )
-    plot.vline(touch_m, color=VERMILLION, label=f"{touch_m:g} m: {touching}")
     weighted = bool(gaps.log10_probability.size)
-    entries = [("as drawn", GREY, "5 3"), *[("under the error model", BLUE, "")] * weighted]
-    size = gaps.gap_m.size
-    kept = np.unique(np.linspace(0, size - 1, min(size, MOST_POINTS)).round().astype(np.int64))
-    for values, (_, color, dash) in zip(logs, entries, strict=False):
-        y = np.minimum(values, 0.0)[kept]
-        plot.line(gaps.gap_m[kept], y, color=color, width=2.0, dash=dash)
-    for place, entry in enumerate(reversed(entries)):
-        plot.legend([entry], x=plot.left + 160 * place, y=plot.height - 6)
     words = (
         "The share of rollouts that come nearer than a gap. As drawn: under the proposal, which "
         "looks for violations."
@@ -258,4 +259,32 @@ def _least_gaps(run: RunData) -> str:
         )
     if run.kept < run.simulated:
         words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
-    return plot.text() + quiet(words)
+    return drawn(gap_chart(run, gaps)) + quiet(words)
+
+
+def gap_chart(run: RunData, gaps: LeastGaps) -> PlaneChart:
+    """Shares of rollouts by how near the cars come, as drawn and under the error model."""
+    assert run.distance is not None  # noqa: S101  gaps are of it
+    size = gaps.gap_m.size
+    kept = np.unique(np.linspace(0, size - 1, min(size, MOST_POINTS)).round().astype(np.int64))
+    gap_m, entries = gaps.gap_m[kept], [("as drawn", GREY, "5 3", gaps.sampled)]
+    if gaps.log10_probability.size:
+        probability = np.minimum(10.0**gaps.log10_probability, 1.0)
+        entries.append(("under the error model", BLUE, "", probability))
+    lines = [
+        Line(gap_m, values[kept], color, label, width=2.0, dash=dash)
+        for label, color, dash, values in entries
+    ]
+    touch_m, touching = (
+        (CAMERA_TO_BUMPER_M, "bumpers touch") if run.own is None else (0.0, "contact")
+    )
+    low, high = _ends(gaps.gap_m, least=1.0)
+    least = min(float(np.min(line.y[line.y > 0.0], initial=1.0)) for line in lines)
+    floor = max(math.floor(math.log10(least)), FARTHEST)
+    return PlaneChart(
+        title="How near the cars come",
+        x=Axis(low, high, f"least {signal_name(run.distance)} in a rollout [m]"),
+        y=Axis(10.0 ** (floor - 0.5), 10.0**0.4, "probability of less", log10=True),
+        marks=(Rule(touch_m, f"{touch_m:g} m: {touching}", VERMILLION), *lines),
+        height=HEIGHT,
+    )

@@ -7,9 +7,9 @@ import numpy as np
 
 from pemviz.analysis.causes import contributions
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.charts.svg import Axis, Plot
+from pemviz.charts.chart import Axis, Bars, Line, PlaneChart
 from pemviz.colors import BLACK, VERMILLION
-from pemviz.panel.pieces import cells, quiet
+from pemviz.panel.pieces import cells, drawn, quiet
 from pemviz.panel.ranking import log_contributions
 from pemviz.panel.rollout_tables import final_violations
 from pemviz.panel.run_data import RunData, detection_probability
@@ -37,7 +37,7 @@ def _why(run: RunData) -> str:
     return cells(
         *_misses(run),
         *(part for section in sections for part in section_cells(section)),
-        sections_html(document.choose(("assumptions", "extrapolation"))),
+        sections_html(document.choose(("assumptions", "extrapolation")), live=True),
     )
 
 
@@ -50,7 +50,7 @@ def section_cells(section: Section) -> list[str]:
         ):
             pieces.append([])
         pieces[-1].append(block)
-    first, *others = (blocks_html(piece, clickable=True) for piece in pieces)
+    first, *others = (blocks_html(piece, live=True) for piece in pieces)
     return [heading(section.title) + first, *others]
 
 
@@ -142,8 +142,8 @@ def _misses(run: RunData) -> list[str]:
     alone = memory is None or memory.is_independent
     given = "" if alone else ", given the outcomes before"
     note = (
-        "Bars: share of steps missed in violations, weighted by how likely each is under the "
-        f"error model. Black: what the error model itself says{given}."
+        "Share of steps missed in violations, weighted by how likely each is under the error "
+        f"model, and what the error model itself says{given}."
     )
     if failures.missed.shape[0] < failures.violations:
         note += (
@@ -157,7 +157,7 @@ def _misses(run: RunData) -> list[str]:
         for values in (failures.missed, failures.pem_miss)
     )
     edges_s = np.arange(share.size + 1) * dt_s
-    by_time = _share_plot("time", "time [s]", edges_s, share, expected, tips=()) + quiet(note)
+    by_time = drawn(share_chart("time", "time [s]", edges_s, share, expected)) + quiet(note)
     words = title + quiet(_miss_sentence(run, failures))
     if failures.gap_m is None:
         return [words + by_time]
@@ -167,23 +167,26 @@ def _misses(run: RunData) -> list[str]:
         f"{100 * expected[i]:.2g} %"
         for i in range(share.size)
     ]
-    return [words + _share_plot("distance", "gap [m]", edges, share, expected, tips=tips), by_time]
+    by_gap = share_chart("distance", "gap [m]", edges, share, expected, tips=tips)
+    return [words + drawn(by_gap), by_time]
 
 
-def _share_plot(
+def share_chart(
     by: str, label: str, edges: FloatArray, missed: FloatArray, expected: FloatArray,
-    *, tips: Sequence[str],
-) -> str:  # fmt: skip
+    *, tips: Sequence[str] = (),
+) -> PlaneChart:  # fmt: skip
     """Shares ``[B]`` of steps missed, and the error model's, between edges ``[B+1]``."""
-    plot = Plot(
+    middle = (edges[:-1] + edges[1:]) / 2
+    return PlaneChart(
         title=f"Missed in violations, by {by}",
         x=Axis(0.0, float(edges[-1]), label),
         y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
+        marks=(
+            Bars(edges, 100.0 * missed, VERMILLION, "in violations", tips=tuple(tips)),
+            Line(middle, 100.0 * expected, BLACK, "error model"),
+        ),
         height=200,
     )
-    plot.bars(edges, 100.0 * missed, color=VERMILLION, tips=tips)
-    plot.line((edges[:-1] + edges[1:]) / 2, 100.0 * expected, color=BLACK, width=1.8)
-    return plot.text()
 
 
 def _miss_sentence(run: RunData, failures: Failures) -> str:

@@ -203,9 +203,11 @@ def starts_chart(found: DangerousStarts) -> PlaneChart | None:
             f"{plane.up} {one.up:.4g}"
             for one in found.points
         ),
-        clickable=True,
+        numbers=tuple(range(1, len(found.points) + 1)),
     )
-    cells = marks.Cells(shades, _levels(plane), UNKNOWN, "P(violation)")
+    cells = marks.Cells(
+        shades, _levels(plane), UNKNOWN, "P(violation)", "log10 of P(violation) at the place"
+    )
     return PlaneChart(
         title=f"P(violation{'' if found.rule is None else f' of {found.rule}'}) by start",
         x=Axis(plane.across_low - half_across, plane.across_high + half_across,
@@ -274,6 +276,7 @@ def requirement_chart(labels: LabelPlan) -> PlaneChart | None:
             width=2.6,
             dash=dash,
             tip=f"{z_text(band)}: {name} {value:.2g}",
+            name=name,
         )
         for band, (low, high) in zip(labels.bands, ends, strict=True)
         for (name, color, dash), value in zip(
@@ -306,9 +309,11 @@ def gap_chart(
     lines = [
         marks.Line(
             time_s, gaps, BLUE, opacity=0.25 + 0.6 * min(part / float(share[0]), 1.0),
-            tip=f"{part:.0%} of the weight",
+            tip=f"{part:.0%} of the weight", name=f"violation {place}",
         )
-        for gaps, part in zip(gap_m[::-1], share[::-1].tolist(), strict=True)
+        for place, gaps, part in zip(
+            range(len(gap_m), 0, -1), gap_m[::-1], share[::-1].tolist(), strict=True
+        )
     ]  # fmt: skip
     steps = np.flatnonzero(missed[0])
     dots = marks.Points(

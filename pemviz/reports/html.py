@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from html import escape
 
 from pemviz.charts.svg import svg
+from pemviz.charts.table import chart_csv
 from pemviz.colors import GREEN, GREY, MISSED, VERMILLION
 from pemviz.reports import document as doc
 from pemviz.reports.document import Block, Cell, Mark, Section
@@ -48,8 +49,16 @@ SHEET = f"""
 """
 
 
-def sections_html(sections: Iterable[Section], *, brief: bool = False) -> str:
-    """Sections under their titles; a headline is its own."""
+SAVES = (
+    "<p class='saves'><button type='button' data-save='png' title='This chart as a picture'>PNG"
+    "</button> <button type='button' data-save='csv' title='The numbers of this chart'>CSV"
+    "</button></p>"
+)
+"""Of a chart on a live page, which hears of clicks on these."""
+
+
+def sections_html(sections: Iterable[Section], *, brief: bool = False, live: bool = False) -> str:
+    """Sections under their titles; a headline is its own. ``live`` as of :func:`blocks_html`."""
     parts: list[str] = []
     for section in sections:
         blocks = section.brief if brief else section.full
@@ -57,16 +66,20 @@ def sections_html(sections: Iterable[Section], *, brief: bool = False) -> str:
         drawn = isinstance(first, doc.Figure) and first.chart.title == section.title
         if blocks and not drawn and not isinstance(first, doc.Headline | doc.Verdict):
             parts.append(heading(section.title))
-        parts.append(blocks_html(blocks))
+        parts.append(blocks_html(blocks, live=live))
     return "".join(parts)
 
 
-def blocks_html(blocks: Iterable[Block], *, clickable: bool = False) -> str:
-    """Blocks below each other; whether a page hears of clicks on rows and points that it knows."""
-    return "".join(_block(block, clickable=clickable) for block in blocks)
+def blocks_html(blocks: Iterable[Block], *, live: bool = False) -> str:
+    """Blocks below each other.
+
+    ``live``: The page hears of clicks, on rows and points that it knows and where a chart is
+    saved; each chart then carries its numbers.
+    """
+    return "".join(_block(block, live=live) for block in blocks)
 
 
-def _block(block: Block, *, clickable: bool) -> str:  # noqa: PLR0911  one a kind
+def _block(block: Block, *, live: bool) -> str:  # noqa: PLR0911  one a kind
     match block:
         case doc.Headline():
             given = paragraph(f"{block.given}.", "quiet") if block.given else ""
@@ -83,14 +96,17 @@ def _block(block: Block, *, clickable: bool) -> str:  # noqa: PLR0911  one a kin
         case doc.Code():
             return f"<pre>{escape(printable_lines(block.text))}</pre>"
         case doc.Table():
-            return table(block, clickable=clickable)
+            return table(block, live=live)
         case doc.Figure():
-            chart = svg(block.chart, act=clicks_to(block.target) if clickable else "")
+            chart = svg(block.chart, act=clicks_to(block.target) if live else "")
             caption = f"<figcaption>{words(block.caption)}</figcaption>" if block.caption else ""
-            return f"<figure>{chart}{caption}</figure>"
+            if not live:
+                return f"<figure>{chart}{caption}</figure>"
+            numbers = escape(chart_csv(block.chart), quote=True).replace("\n", "&#10;")
+            return f"<figure data-csv='{numbers}'>{chart}{caption}{SAVES}</figure>"
         case doc.Folded():
             title = f"<summary>{words(block.title)}</summary>"
-            return f"<details>{title}{blocks_html(block.blocks, clickable=clickable)}</details>"
+            return f"<details>{title}{blocks_html(block.blocks, live=live)}</details>"
 
 
 def words(text: str) -> str:
@@ -114,9 +130,9 @@ def warning(text: str) -> str:
     return f"<div class='warn'>\N{WARNING SIGN} {words(text)}</div>"
 
 
-def table(block: doc.Table, *, clickable: bool = False) -> str:
+def table(block: doc.Table, *, live: bool = False) -> str:
     """A table; rows that can be clicked bear their place."""
-    click = f" {clicks_to(block.target)}" if clickable and block.target else ""
+    click = f" {clicks_to(block.target)}" if live and block.target else ""
     heads = "".join(
         f"<th{_number(block, place)}>{words(cell)}</th>" for place, cell in enumerate(block.columns)
     )

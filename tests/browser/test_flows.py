@@ -6,6 +6,7 @@ import socket
 from dataclasses import replace
 from urllib.parse import urlsplit
 
+import PIL.Image
 import pytest
 from playwright.sync_api import expect
 
@@ -152,7 +153,7 @@ def test_runs_are_compared_noted_and_downloaded(open_page, shots, panel, first_r
     for click, name, begins in (
         (page.locator("aside").get_by_role("link", name="result.json"), "a.json", "{"),
         (page.locator("aside").get_by_role("link", name="ranking.csv"), "a.csv", "rank,repetition"),
-        (page.get_by_role("button", name="CSV"), "b.csv", "time_s,gap"),
+        (page.locator(".charts").get_by_role("button", name="CSV").first, "b.csv", "series,time"),
         (page.get_by_role("button", name="3D page"), "b.html", ""),
     ):
         with page.expect_download() as download:
@@ -163,9 +164,34 @@ def test_runs_are_compared_noted_and_downloaded(open_page, shots, panel, first_r
     assert (tmp_path / "a.json").read_bytes() == (first_run / "result.json").read_bytes()
     assert "__VISER_EMBED_DATA__" in (tmp_path / "b.html").read_text()
     with page.expect_download() as picture:
-        page.get_by_role("button", name="PNG", exact=True).click()
+        page.locator(".charts").get_by_role("button", name="PNG").first.click()
+    assert picture.value.suggested_filename.startswith(f"{first_run.name}-rank1-Gap")
     picture.value.save_as(tmp_path / "b.png")
-    assert (tmp_path / "b.png").read_bytes()[:4] == b"\x89PNG"
+    with PIL.Image.open(tmp_path / "b.png") as drawn:
+        assert drawn.width > 800
+        assert len(drawn.getcolors(drawn.width * drawn.height)) > 20
+
+
+@pytest.mark.parametrize("name", ["Learning", "Weights", "Why", "Uncertainty", "Metrics"])
+def test_each_chart_beside_the_scene_is_saved_as_it_is_drawn(open_page, first_run, tmp_path, name):
+    page = open_page(f"run/{first_run.name}?page={name.lower()}")
+    figures = page.locator("aside figure")
+    expect(figures.first).to_be_visible()
+    assert figures.count() == page.locator("aside svg").count()
+    for place in range(figures.count()):
+        figure = figures.nth(place)
+        for kind in ("CSV", "PNG"):
+            with page.expect_download() as download:
+                figure.get_by_role("button", name=kind).click()
+            path = tmp_path / download.value.suggested_filename
+            assert path.name.startswith(f"{first_run.name}-")
+            download.value.save_as(path)
+            if kind == "CSV":
+                assert (
+                    path.read_text().splitlines() == figure.get_attribute("data-csv").splitlines()
+                )
+            else:
+                assert path.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_the_recording_opens_in_rerun_in_a_new_tab(chromium, tmp_path, shots):

@@ -19,9 +19,10 @@ from pemviz.config.toml_files import load_config
 from pemviz.panel.compare_page import metrics_page, runs_page
 from pemviz.panel.learning_page import learning
 from pemviz.panel.loading import load_run
+from pemviz.panel.pieces import drawn
 from pemviz.panel.ranking import METRIC_NAMES, rank, ranking_csv, row
 from pemviz.panel.recordings_folder import RecordingsFolder
-from pemviz.panel.rollout_charts import track, track_plots
+from pemviz.panel.rollout_charts import track, track_charts
 from pemviz.panel.rollout_tables import check_table
 from pemviz.panel.run_data import RunData
 from pemviz.panel.site import dumps
@@ -74,7 +75,8 @@ def pages(run: RunData) -> None:
         for metric in METRIC_NAMES:
             ranking = rank(run, metric)
             assert ranking.order.size == run.kept
-        track_plots(track(run, row(run, ranking, 0)), width=400)
+        for chart in track_charts(track(run, row(run, ranking, 0)), width=400):
+            drawn(chart)
         ranking_csv(run, ranking)
 
 

@@ -115,7 +115,9 @@ def test_a_rollout_has_the_values_of_the_tables(live_run):
     found = place.requests["rollout"](page, asked)
     index = int(rank(live_run, live_run.config.metric, among="all").order[2])
     gap_m = live_run.rollouts["gap_m"][index]
-    np.testing.assert_allclose(found["values"], gap_m, atol=1e-4)
+    reading = found["readings"][0]
+    assert (reading["name"], reading["unit"]) == ("gap", "m")
+    np.testing.assert_allclose(reading["values"], gap_m, rtol=1e-3)
     contact = found["contact"]
     missed = np.flatnonzero(~live_run.rollouts["detected"][index][:contact])
     assert set(found["misses"]) <= set(missed.tolist())

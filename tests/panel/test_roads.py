@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pemviz
+from pemviz.charts.svg import plot_of, svg
 from pemviz.errors import InputError
 from pemviz.latents import Latents
 from pemviz.panel import loading
@@ -15,17 +16,15 @@ from pemviz.panel.compare_page import metrics_page
 from pemviz.panel.controller import Watcher
 from pemviz.panel.learning_page import learning
 from pemviz.panel.ranking import rank, row
-from pemviz.panel.rollout_charts import step_words, track, track_plots
+from pemviz.panel.rollout_charts import step_words, track, track_charts
 from pemviz.panel.rollout_details import details, rule_robustness
 from pemviz.panel.rollout_tables import check_table
-from pemviz.panel.run_data import own_scenario
 from pemviz.panel.scene import scene_html
-from pemviz.panel.weights_page import heaviest_curves, weights_page
+from pemviz.panel.weights_page import heaviest_chart, weights_page
 from pemviz.panel.why_page import failures_of, why
 from pemviz.runs.drawn_rollout import WRONG
 from pemviz.runs.events import StageDone
 from pemviz.simulators.slots import UnrolledSimulator
-from tests.lattice_walk import ToySimulator
 from tests.scene_toys import CameraOfTwo, CutIn
 
 CONFIG = pemviz.ExperimentConfig(
@@ -60,8 +59,12 @@ def test_a_run_read_from_its_folder_shows_what_it_showed_under_way(ran, monkeypa
     assert first(loaded) == first(ran.run)
     again, before = track(loaded, first(loaded)), track(ran.run, first(ran.run))
     np.testing.assert_array_equal(again.drawn.states.x_m, before.drawn.states.x_m)
-    np.testing.assert_array_equal(again.drawn.answers, before.drawn.answers)
-    assert track_plots(again, width=300) == track_plots(before, width=300)
+    np.testing.assert_array_equal(again.answers, before.answers)
+    assert drawn_of(again) == drawn_of(before)
+
+
+def drawn_of(chosen):
+    return [svg(chart) for chart in track_charts(chosen, width=300)]
 
 
 def with_cars(shown, count):
@@ -78,14 +81,16 @@ def with_cars(shown, count):
     return replace(shown, drawn=drawn)
 
 
-def test_names_of_many_cars_stand_beside_the_lines_of_their_speeds(ran):
+def test_names_of_many_cars_stand_beneath_the_axis_and_within_the_picture(ran):
     few = track(ran.run, first(ran.run))
-    for count, beside in ((3, False), (7, True)):
-        _, speeds, _ = track_plots(with_cars(few, count), width=300)
-        right = float(re.search(r"<rect x='42' y='[\d.]+' width='([\d.]+)'", speeds)[1]) + 42.0
-        names = [float(x) for x in re.findall(r"<text x='([\d.]+)'[^>]*>the car num", speeds)]
+    for count in (3, 7):
+        _, chart, _ = track_charts(with_cars(few, count), width=300)
+        names = re.findall(r"<text x='([\d.]+)' y='([\d.]+)'[^>]*>(the car num[^<]*)", svg(chart))
+        plot = plot_of(chart)
         assert len(names) == count - 1
-        assert all((x > right) == beside for x in names)
+        for x, y, name in names:
+            assert float(x) + 5.4 * len(name) < plot.width
+            assert plot.bottom + 30 < float(y) < plot.height
 
 
 def test_tracks_of_a_rollout_are_those_that_its_controller_had(ran):
@@ -101,10 +106,10 @@ def test_errors_of_every_slot_count_and_are_told_at_their_step(ran):
     entry = first(ran.run)
     chosen = track(ran.run, entry)
     assert entry.misses == np.count_nonzero(~ran.rollouts.detected[entry.rollout])
-    both = np.flatnonzero((chosen.drawn.answers[: chosen.drawn.contact_step] == WRONG).all(axis=1))
+    both = np.flatnonzero((chosen.answers[: chosen.contact_step] == WRONG).all(axis=1))
     assert step_words(chosen, int(both[0])) == "lead MISSED, cutter MISSED"
-    assert step_words(chosen, chosen.drawn.contact_step) == "after contact"
-    page = "".join(track_plots(chosen, width=300))
+    assert step_words(chosen, chosen.contact_step) == "after contact"
+    page = "".join(drawn_of(chosen))
     for words in ("Perception", ">lead<", ">cutter<", "impact"):
         assert words in page
     failures = failures_of(ran.run)
@@ -122,7 +127,7 @@ def test_every_page_is_drawn_without_a_gap(ran):
     assert "Missed in violations, by time" in why(run)
     assert "Missed in violations, by distance" not in why(run)
     assert "No signal of the scenario tells how near" in weights_page(run)
-    assert heaviest_curves(run).title.startswith("Collided of the rollouts")
+    assert heaviest_chart(run).title.startswith("Collided of the rollouts")
     assert ">collided</text>" in metrics_page(run)
     assert learning(run)
 
@@ -132,14 +137,12 @@ def test_a_page_of_the_scene_alone_names_the_cars(ran):
     assert page.lstrip().lower().startswith("<!doctype html>")
 
 
-def test_tables_of_another_shape_and_simulators_without_cars_are_refused(ran):
+def test_tables_of_another_shape_are_refused(ran):
     table = dict(ran.run.rollouts)
     check_table(table, ran.run.config, where="here", simulator=CutIn())
     table["detected"] = table["detected"][..., 0]
     with pytest.raises(InputError, match=r"detected has shape \(60, 40\), must have .*40, 2\)"):
         check_table(table, ran.run.config, where="here", simulator=CutIn())
-    with pytest.raises(InputError, match=r"tells where its cars are \(pemviz.DrawsScene\)"):
-        own_scenario(ToySimulator(), CONFIG)
 
 
 RULES = {"touch": "always[0,40] (collided <= 0.5)", "slow": "always[0,40] (ego_speed <= 25)"}

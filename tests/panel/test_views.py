@@ -16,10 +16,9 @@ from pemviz.charts.svg import Axis, Plot, nice_ticks
 from pemviz.errors import InputError
 from pemviz.panel import compare_page, learning_page, weights_page, why_page
 from pemviz.panel.controller import PanelState, Progress
-from pemviz.panel.curve_chart import over_common
-from pemviz.panel.pieces import number
+from pemviz.panel.pieces import drawn, number
 from pemviz.panel.ranking import rank, row, shares
-from pemviz.panel.rollout_charts import step_words, track, track_plots
+from pemviz.panel.rollout_charts import step_words, track, track_charts
 from pemviz.panel.run_data import RunData
 from pemviz.panel.run_summary import summary
 from pemviz.panel.scene import brakes
@@ -69,8 +68,8 @@ def test_a_metric_that_cannot_score_the_rollouts_is_told_and_the_others_stay(nai
     (alert,) = [words for words in page.itertext() if "left out" in words]
     assert "agm is left out: metric = 'agm': gap reaches" in alert
     assert [header.text for header in page.iter("th")][1:] == ["classical", "smooth-cumulative"]
-    drawn = [words for words in page.itertext() if ", gap [m]" in words]
-    assert drawn == ["classical, gap [m]", "smooth-cumulative, gap [m]"]
+    lines = compare_page.metric_chart(run).marks[1:]
+    assert [line.label for line in lines] == ["classical", "smooth-cumulative"]
 
 
 def test_rollouts_that_latents_carry_beyond_agms_bounds_are_ranked_all_the_same(naive_run):
@@ -220,7 +219,7 @@ def test_learning_does_not_speak_of_what_a_method_has_not(naive_run):
         run = with_result(naive_run, config=replace(naive_run.config, method=method))
         text = learning_page.learning(run)
         well_formed(text)
-        return text + " ".join(line.name for line in learning_page.proposal_curves(run).lines)
+        return text + " ".join(line.label for line in learning_page.proposal_chart(run).marks)
 
     assert "older stages fade" in page("adaptive")
     for method in ("splitting", "subset", "monte-carlo", "naive", "zero-variance"):
@@ -238,7 +237,7 @@ def test_a_method_that_chose_another_is_shown_as_that(naive_run):
         estimate = replace(naive_run.result.estimate, method=chosen)
         run = with_result(naive_run, config=config, estimate=estimate)
         assert ("older stages fade" in learning_page.learning(run)) == learns
-        names = [line.name for line in learning_page.proposal_curves(run).lines]
+        names = [line.label for line in learning_page.proposal_chart(run).marks]
         assert any("proposal after stage" in name for name in names) == learns
 
 
@@ -254,7 +253,8 @@ def test_track_holds_the_rollout_its_limits_and_its_probabilities(naive_run):
     entry = row(naive_run, rank(naive_run, "classical"), 0)
     chosen = track(naive_run, entry)
     np.testing.assert_array_equal(chosen.values, naive_run.rollouts["gap_m"][entry.index])
-    assert chosen.limits == (2.0,)
+    by_name = {signal.name: limits for signal, limits in chosen.limits.items()}
+    assert by_name == {"gap": (2.0,), "ego_speed": (), "lead_speed": ()}
     pem, proposal = chosen.detection
     np.testing.assert_allclose(proposal, 0.5, rtol=1e-12)
     assert np.all((pem > 0.5) & (pem < 1.0))
@@ -262,15 +262,15 @@ def test_track_holds_the_rollout_its_limits_and_its_probabilities(naive_run):
     assert chosen.values[step] < 2.0
     assert np.all(chosen.values[:step] >= 2.0)
     np.testing.assert_array_equal(
-        chosen.drawn.answers[:, 0] == RIGHT, naive_run.rollouts["detected"][entry.index]
+        chosen.answers[:, 0] == RIGHT, naive_run.rollouts["detected"][entry.index]
     )
 
 
 def test_words_of_a_step_end_with_contact(naive_run):
     chosen = track(naive_run, row(naive_run, rank(naive_run, "classical"), 0))
-    for chart in track_plots(chosen, width=400):
-        well_formed(chart)
-    contact = chosen.drawn.contact_step
+    for chart in track_charts(chosen, width=400):
+        well_formed(drawn(chart))
+    contact = chosen.contact_step
     assert step_words(chosen, contact - 1) in {"detected", "MISSED"}
     assert step_words(chosen, contact) == "after contact"
     assert step_words(chosen, 99) == "after contact"
@@ -368,14 +368,14 @@ def test_every_point_bears_the_number_of_its_rollout(loaded_run):
     drawn = weights_page.weights_page(loaded_run)
     numbers = re.findall(r"data-number='(\d+)'", drawn)
     assert sorted(map(int, numbers)) == list(range(loaded_run.kept))
-    assert drawn.count("data-target='point'") == 1
+    assert drawn.count("data-target='point'") == 2  # those that violate, and the others
 
 
 def test_the_gaps_drawn_are_those_of_the_heaviest(loaded_run):
-    curves = weights_page.heaviest_curves(loaded_run)
+    _, line, *_ = weights_page.heaviest_chart(loaded_run).marks
     heaviest = int(np.argmax(shares(loaded_run)))
-    np.testing.assert_array_equal(curves.lines[0].values, loaded_run.rollouts["gap_m"][heaviest])
-    assert weights_page.heaviest_curves(replace(loaded_run, running=True)) is None
+    np.testing.assert_array_equal(line.y, loaded_run.rollouts["gap_m"][heaviest])
+    assert weights_page.heaviest_chart(replace(loaded_run, running=True)) is None
 
 
 def test_every_refit_and_model_class_has_a_mark(naive_run):
@@ -412,32 +412,24 @@ def test_runs_side_by_side_show_every_setting_that_differs(live_run, naive_run):
     assert cells["position_errors"] == ["–", "–", "pointrcnn"]
     assert not {"seed", "alpha"} & cells.keys()
     assert len(list(estimates.iter("tr"))) == 4
-    names = [line.name for line in compare_page.run_curves(runs).lines]
+    names = [line.label for line in compare_page.proposals_chart(runs).marks]
     assert names.count("error model ml-nn") == 1
-    assert compare_page.run_curves(runs[:1]) is None
+    assert compare_page.proposals_chart(runs[:1]) is None
     assert "2 to 6 runs" in compare_page.runs_page(runs[:1])
 
 
 def test_proposals_drawn_are_the_first_the_newest_and_some_between(loaded_run):
-    names = [line.name for line in learning_page.proposal_curves(loaded_run).lines]
+    names = [line.label for line in learning_page.proposal_chart(loaded_run).marks]
     assert names[0] == f"proposal after stage {loaded_run.final_curves[-1].stage}"
     assert names[-1] == "error model (ml-nn)"
     many = replace(
         loaded_run, curves=tuple(replace(loaded_run.curves[0], stage=s) for s in range(40))
     )
     stages = [
-        line.name.rsplit(" ", 1)[-1] for line in learning_page.proposal_curves(many).lines[:-1]
+        line.label.rsplit(" ", 1)[-1] for line in learning_page.proposal_chart(many).marks[:-1]
     ]
     assert len(stages) == 6
     assert (stages[0], stages[-1]) == ("39", "0")
-
-
-def test_lines_end_where_they_are_known():
-    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
-    own, y = np.array([0.5, 1.5, 2.5, 3.5]), np.array([np.nan, 1.0, 3.0, np.nan])
-    line = over_common(x, own, y)
-    np.testing.assert_array_equal(line, [np.nan, np.nan, 2.0, np.nan, np.nan])
-    assert np.isnan(over_common(x, own, np.full(4, np.nan))).all()
 
 
 def test_counts_are_whole_numbers_however_large(naive_run):

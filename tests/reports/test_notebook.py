@@ -73,7 +73,7 @@ def test_a_rollout_marks_where_perception_missed():
     )  # fmt: skip
     page = rollout._repr_html_()
     assert "misses 2 of 3 steps (1-2)" in page
-    assert page.count(f"fill='{MISSED}'") == 2
+    assert page.count(f"r='2.0' fill='{MISSED}'") == 2
 
 
 def bars(axes):

@@ -8,7 +8,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
-from pemviz.errors import ConfigError, InputError
+from pemviz.errors import ConfigError
 from pemviz.panel.run_data import own_scenario
 from pemviz.runs.experiment import build_experiment
 from pemviz.simulators.registry import SHIPPED, build_named_simulator, simulator_names
@@ -145,9 +145,8 @@ def test_what_needs_a_twin_is_refused(more, capsys):
 
 
 @pytest.mark.usefixtures("third_party")
-def test_the_panel_refuses_what_it_cannot_draw():
+def test_the_panel_takes_for_the_braking_scenario_what_has_its_signals_alone():
     config = ExperimentConfig(simulator="faster")
     assert own_scenario(build_experiment(config).problem.simulator, config) is None
     lattice = build_named_simulator("lattice", config.scenario)
-    with pytest.raises(InputError, match="the panel draws a car behind another"):
-        own_scenario(lattice, ExperimentConfig(simulator="lattice"))
+    assert own_scenario(lattice, ExperimentConfig(simulator="lattice")) is lattice

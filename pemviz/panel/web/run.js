@@ -3,7 +3,7 @@ import { html, useCallback, useEffect, useLayoutEffect, useRef, useState } from 
 import * as address from "/address.js";
 import { ask, token } from "/talk.js";
 import { Charts, Timeline } from "/timeline.js";
-import { download, save } from "/save.js";
+import { download } from "/save.js";
 
 const PAGES = [
   ["rollouts", "Rollouts"], ["uncertainty", "Uncertainty"], ["learning", "Learning"],
@@ -14,6 +14,8 @@ const FIRST = [["share", "largest contribution"], ["least robust", "least robust
 const FILES = ["result.json", "ranking.csv", "config.toml", "rollouts.npz", "run.rrd"];
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
 const ROWS = 50;
+const LOWEST_PX = 240;
+const BESIDE_PX = 450;  // of the window, around the signals that stand in the place of a scene
 const VISER = "[data-floating-window],[data-dock-area],.mantine-Paper-root,.mantine-Affix-root,.mantine-Notifications-root{display:none!important}";
 
 const ranked = (at) => Math.max(1, Math.round(Number(at.rank)) || 1);
@@ -27,6 +29,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
   const [speed, setSpeed] = useState(1);
   const [follow, setFollow] = useState(true);
   const [width, setWidth] = useState(0);
+  const [high, setHigh] = useState(innerHeight);
   const charts = useRef(null);
   const asked = useRef(0);
   const now = useRef(0);  // the step shown: a second key may come before what the first changed is drawn
@@ -46,6 +49,11 @@ export function Run({ name, at, state, dark, connected, tell }) {
     if (charts.current) watch.observe(charts.current);
     return () => watch.disconnect();
   }, [run !== null]);
+  useEffect(() => {
+    const grown = () => setHigh(innerHeight);
+    addEventListener("resize", grown);
+    return () => removeEventListener("resize", grown);
+  }, []);
 
   const choice = run && {
     run: name,
@@ -55,6 +63,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
     first: at.first ?? "share",
   };
   const chosen = choice && JSON.stringify(choice);
+  const height = run?.scene ? undefined : Math.max(LOWEST_PX, high - BESIDE_PX);
   const rank = ranked(at);
   const start = Math.max(0, Math.floor((rank - 1) / ROWS) * ROWS);
 
@@ -75,7 +84,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
     const mine = ++asked.current;
     const same = rollout?.rank === rank && rollout?.chosen === chosen;
     const wanted = same ? now.current : at.step !== undefined && !rollout ? Number(at.step) : -1;
-    ask("rollout", { ...JSON.parse(chosen), rank, width, step: wanted }).then((found) => {
+    ask("rollout", { ...JSON.parse(chosen), rank, width, height, step: wanted }).then((found) => {
       if (mine !== asked.current || !found) return;
       setRollout({ ...found, chosen });
       if (same) return;  // drawn again for another width: the step may have moved meanwhile
@@ -83,7 +92,7 @@ export function Run({ name, at, state, dark, connected, tell }) {
       setStep(found.step);
       setPlaying(false);
     }, (error) => tell(error.message));
-  }, [chosen, rank, width, rows?.count, connected]);
+  }, [chosen, rank, width, height, rows?.count, connected]);
 
   const last = rollout ? rollout.states - 1 : 0;
   const to = useCallback((next) => {
@@ -112,6 +121,9 @@ export function Run({ name, at, state, dark, connected, tell }) {
   }, [step, playing, rollout]);
   useEffect(() => { if (rollout) to(now.current); }, [follow]);
 
+  const keepScene = () => ask("scene_page", { ...choice, rank }).then(
+    (page) => download(`${name}-rank${rank}.html`, new Blob([page], { type: "text/html" })), (error) => tell(error.message));
+  const share = last ? step / last : 0;
   const view = at.view ?? "from behind";
   const look = () => {
     const next = view === "from behind" ? "from above" : "from behind";
@@ -149,10 +161,11 @@ export function Run({ name, at, state, dark, connected, tell }) {
   if (!run) return html`<main class="page"><p class="quiet">Opening ${name} ...</p></main>`;
   return html`<main class="run">
     <${Strip} run=${run} set=${set} />
-    <section class="look">
-      <${Scene} />
+    <section class="look" data-of=${`${name}-rank${rollout?.rank}`}>
+      ${run.scene ? html`<${Scene} />`
+        : html`<div class="signals" role="group" aria-label="Signals">${rollout && html`<${Charts} charts=${rollout.stage} share=${share} />`}</div>`}
       ${rollout ? html`
-        <${Timeline} chart=${rollout.charts[0]} rollout=${rollout} step=${step} to=${move} />
+        <div class="moves"><${Timeline} chart=${(run.scene ? rollout.charts : rollout.stage)[0]} rollout=${rollout} step=${step} to=${move} />
         <div class="bar controls">
           <button aria-label="A step back" onClick=${() => by(-1)}>\u25c2</button>
           <button class="main" onClick=${() => setPlaying(!playing)}>${playing ? "Pause" : "Play"}</button>
@@ -164,15 +177,16 @@ export function Run({ name, at, state, dark, connected, tell }) {
           <button disabled=${rollout.contact === null} onClick=${() => move(rollout.contact)}>contact</button>
           <span class="key"><i class="miss"></i>missed <i class="hit"></i>detected</span>
           <span class="grow"></span>
-          <label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
-          <button title="Seen from behind or from above (v)" onClick=${look}>view: ${view}</button>
+          ${run.scene && html`<label><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} /> follow</label>
+          <button title="Seen from behind or from above (v)" onClick=${look}>view: ${view}</button>`}
         </div>
-        <p class="values" data-step=${step} data-rank=${rollout.rank}>${(step * rollout.dt_s).toFixed(2)} s: ${rollout.signal} ${rollout.values[step]?.toFixed(2)} ${rollout.unit},
-          ego ${rollout.speeds[step]?.toFixed(1)} m/s, ${rollout.words[step]}</p>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
-      <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${last ? step / last : 0} name=${`${name}-rank${rollout.rank}`} rollout=${rollout} play=${() => ask("scene_page", { ...choice, rank }).then((page) => download(`${name}-rank${rank}.html`, new Blob([page], { type: "text/html" })), (error) => tell(error.message))} />`}</div>
-      <details class="quiet"><summary>What the scene shows</summary>${run.scene_words}</details>
+        <p class="values" data-step=${step} data-rank=${rollout.rank}>${(step * rollout.dt_s).toFixed(2)} s: ${
+          rollout.readings.map(({ name: what, unit, values }) => `${what} ${reading(values[step] ?? 0)}${unit && ` ${unit}`}, `)}${rollout.words[step]}</p></div>` : html`<p class="quiet">${rows?.count === 0 ? "No rollouts yet." : "Looking ..."}</p>`}
+      <div ref=${charts} class="charts">${rollout && html`<${Charts} charts=${rollout.charts} share=${share} />`}</div>
+      ${run.scene && html`<p class="bar"><span class="grow"></span><button title="A page that plays the scene without a server" onClick=${keepScene}>3D page</button></p>`}
+      <details class="quiet"><summary>${run.scene ? "What the scene shows" : "What is shown"}</summary>${run.scene_words}</details>
     </section>
-    <aside>
+    <aside data-of=${page === "rollouts" ? `${name}-rank${rollout?.rank}` : name}>
       <nav aria-label="Pages of the run">${PAGES.map(([key, words]) => html`<a href="#" aria-current=${page === key ? "page" : undefined}
         onClick=${(event) => { event.preventDefault(); set({ page: key === "rollouts" ? "" : key }); }}>${words}</a>`)}</nav>
       ${page === "rollouts"
@@ -215,6 +229,7 @@ function Scene() {
   return html`<iframe class="scene" title="Scene" src=${`/scene/${token}`} onLoad=${hide}></iframe>`;
 }
 
+const reading = (value) => (Math.abs(value) < 1000 ? value.toPrecision(3) : value.toFixed(0)).replace("-", "\u2212");
 const number = (value) => (value == null ? "\u2013" : Math.abs(value) >= 0.01 && Math.abs(value) < 1000 || value === 0
   ? value.toFixed(3) : value.toPrecision(3)).replace("-", "\u2212");
 
@@ -270,9 +285,7 @@ function Page({ name, page, version, tell, set, shown }) {
       (found) => found && set({ ...found, step: "", page: "" }), (error) => tell(error.message));
   };
   if (content === null) return html`<p class="quiet">...</p>`;
-  return html`<div><div class="bar"><span class="grow"></span><button onClick=${(event) =>
-      event.target.closest("aside").querySelectorAll("svg").forEach((svg, place) => save(svg, `${name}-${page}-${place + 1}`))}>PNG of the charts</button></div>
-    ${page === "record" && html`<p>Files: ${FILES.map((file) => html`<a class="tag" download
+  return html`<div>${page === "record" && html`<p>Files: ${FILES.map((file) => html`<a class="tag" download
       href=${`/files/${encodeURIComponent(name)}/${file}`}>${file}</a> `)}</p>`}
     <div ref=${holder} class="pemviz document" onClick=${clicked} dangerouslySetInnerHTML=${{ __html: content }}></div></div>`;
 }

@@ -122,6 +122,6 @@ export function Runs({ at, state, tell }) {
 function Compare({ names, close, tell }) {
   const [content, setContent] = useState("");
   useEffect(() => void ask("compare", { runs: names }).then(setContent, (error) => { close(); tell(error.message); }), []);
-  return html`<section class="compare" aria-label="Compared runs"><p class="bar"><b>${names.length} runs beside each other</b><span class="grow"></span>
+  return html`<section class="compare" aria-label="Compared runs" data-of=${names.join("-")}><p class="bar"><b>${names.length} runs beside each other</b><span class="grow"></span>
     <button onClick=${close}>Close</button></p><div class="pemviz document" dangerouslySetInnerHTML=${{ __html: content }}></div></section>`;
 }

@@ -1,4 +1,4 @@
-// Charts as pictures, and what they draw as a table.
+// Charts as pictures, and the numbers behind them: whatever page they are on, a click saves them.
 
 export function download(name, blob) {
   const link = document.createElement("a");
@@ -8,7 +8,7 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-export function save(svg, name, scale = 2) {
+function picture(svg, name, scale = 2) {
   const box = svg.viewBox.baseVal;
   const copy = svg.cloneNode(true);
   copy.setAttribute("width", box.width);
@@ -27,8 +27,14 @@ export function save(svg, name, scale = 2) {
   image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(new XMLSerializer().serializeToString(copy))}`;
 }
 
-export function csv(name, heads, rows) {
-  const cell = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
-  const text = [heads, ...rows].map((row) => row.map(cell).join(",")).join("\r\n");
-  download(name, new Blob([text], { type: "text/csv" }));
-}
+// A figure bears its numbers, and what it is of is said by what it stands in.
+addEventListener("click", ({ target }) => {
+  const button = target.closest?.("[data-save]");
+  const figure = button?.closest("figure[data-csv]");
+  if (!figure) return;
+  const svg = figure.querySelector("svg");
+  const words = [figure.closest("[data-of]")?.dataset.of ?? "pemviz", svg.getAttribute("aria-label")];
+  const name = words.join(" ").replace(/[^\p{L}\p{N}.-]+/gu, "-").slice(0, 120).replace(/-+$/, "");
+  if (button.dataset.save === "png") picture(svg, name);
+  else download(`${name}.csv`, new Blob([figure.dataset.csv], { type: "text/csv;charset=utf-8" }));
+});

@@ -1,6 +1,5 @@
 // When perception missed and what happened, and the charts that share this time.
 import { html, useRef } from "/vendor/htm-preact.js";
-import { csv, save } from "/save.js";
 
 const ROOM = 0.15;
 
@@ -27,13 +26,8 @@ export function Timeline({ chart, rollout, step, to }) {
   </div>`;
 }
 
-export function Charts({ charts, share, name, rollout, play }) {
-  const holder = useRef(null);
-  const table = () => csv(`${name}.csv`, ["time_s", rollout.signal, "ego_speed_mps", "perception"],
-    rollout.values.map((value, step) => [(step * rollout.dt_s).toFixed(4), value, rollout.speeds[step], rollout.words[step]]));
-  return html`<div ref=${holder}>${charts.map((chart, place) => html`<div class="chart" key=${place}>
-      <div dangerouslySetInnerHTML=${{ __html: chart.svg }}></div>
-      <b style=${{ left: `${100 * (chart.left + share * (chart.right - chart.left))}%` }}></b></div>`)}
-    <p class="bar"><span class="grow"></span><button onClick=${() => holder.current.querySelectorAll("svg").forEach((svg, place) =>
-      save(svg, `${name}-${place + 1}`))}>PNG</button><button onClick=${table}>CSV</button><button title="A page that plays the scene without a server" onClick=${play}>3D page</button></p></div>`;
+export function Charts({ charts, share }) {
+  return charts.map((chart, place) => html`<div class="chart" key=${place}>
+    <div dangerouslySetInnerHTML=${{ __html: chart.html }}></div>
+    <b style=${{ left: `${100 * (chart.left + share * (chart.right - chart.left))}%`, top: `${chart.top}px`, height: `${chart.bottom - chart.top}px` }}></b></div>`);
 }
