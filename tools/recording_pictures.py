@@ -42,13 +42,13 @@ COLORS = 128
 SETTLE_S = 4.0
 BROWSER_FACTOR = 3.0
 """How much longer a browser takes that draws by software."""
-MOST_WAITS, FRAME_MS = 20, 1500
+MOST_WAITS, FRAME_MS = 20, 100
 ACTIVE, CONTENTS = "ContainerBlueprint:active_tab", "ContainerBlueprint:contents"
 NAMES = ("ContainerBlueprint:display_name", "ViewBlueprint:display_name")
-RESTING_PLACE = (340, 12)
+RESTING_PLACES = ((240, 12), (241, 12))
 """Of the mouse, where nothing answers to it [pixels]."""
-TIME_BOX = (45, 15)
-"""Where the time stands, from the page's lower right corner [pixels]."""
+TIME_AXIS = (337, 107, 14)
+"""From the page's left edge, its right one and its lower one [pixels]."""
 SEND = """text => {
   const channel = `layout-${performance.now()}`;
   _handle.open_channel(channel, channel);
@@ -131,10 +131,9 @@ def light_pictures(layouts: Mapping[str, bytes], arguments: argparse.Namespace) 
             page.goto(f"{address}&persist=0&hide_welcome_screen=1")
         answer.value.finished()
         settled(page, settle_s)
-        page.mouse.click(width - TIME_BOX[0], height - TIME_BOX[1])
-        for keys in ("Control+A", *str(arguments.step), "Enter"):
-            page.wait_for_timeout(FRAME_MS)  # what comes before the next frame is not heard
-            page.keyboard.press(keys)
+        left, right = TIME_AXIS[0], width - TIME_AXIS[1]
+        share = min(arguments.step / last_step(arguments.recording), 1.0)
+        page.mouse.click(left + share * (right - left), height - TIME_AXIS[2])
         for name, layout in layouts.items():
             page.evaluate(SEND, base64.b64encode(layout).decode())
             keep(settled(page, settle_s), arguments.out / f"{name}-light.png")
@@ -144,9 +143,12 @@ def light_pictures(layouts: Mapping[str, bytes], arguments: argparse.Namespace) 
 def settled(page: Page, settle_s: float) -> bytes:
     """A picture of the page once it does not change any more."""
     before = b""
-    for place in range(MOST_WAITS):
-        page.mouse.move(RESTING_PLACE[0] + place % 2, RESTING_PLACE[1])  # makes the viewer draw
-        page.wait_for_timeout(1000 * settle_s)
+    for _ in range(MOST_WAITS):
+        end = time.monotonic() + settle_s
+        while time.monotonic() < end:  # the viewer draws, and reads on, when the mouse moves
+            for place in RESTING_PLACES:
+                page.mouse.move(*place)
+                page.wait_for_timeout(FRAME_MS)
         picture = page.screenshot(timeout=WAIT_MS)
         if picture == before:
             break
@@ -166,6 +168,16 @@ def last_layout(recording: Path) -> tuple[str, list[Any]]:
     reader = rr.chunk.RrdReader(recording)
     layouts = [(one.application_id, list(reader.stream(store=one))) for one in reader.blueprints()]
     return max(layouts, key=lambda layout: max(str(chunk.id) for chunk in layout[1]))
+
+
+def last_step(recording: Path) -> int:
+    """The last step that rollouts have."""
+    batches = (
+        chunk.to_record_batch()
+        for chunk in rr.chunk.RrdReader(recording).stream()
+        if chunk.entity_path.startswith(paths.plan(1)) and not chunk.is_static
+    )
+    return max((batch[paths.STEP].to_pylist()[-1] for batch in batches), default=1)
 
 
 class Layout(rrb.Blueprint):

@@ -41,6 +41,7 @@ MARK_M, NEXT_MARK_M = 1.8, 1.5
 """How high a mark is over the first car's roof, and how much higher over the next one's."""
 CABIN_SHARE, BODY_SHARE = 0.55, 0.58
 """Of a car's length, and of its height."""
+ZONE_WORDS_M, ZONE_WORDS_ASIDE_M = 4.0, 3.0
 UNKNOWN_SD_M = 0.02
 
 
@@ -121,7 +122,7 @@ def log_scene(file: RecordingFile, shown: Sequence[OnRoad]) -> None:
             _log_car(one, car)
         if one.drawn.tracks is not None:
             _log_tracks(one, one.drawn.tracks)
-        at_m = [-BEHIND_M + 10.0, one.drawn.road.left_m + one.shift_m + 2.0, 0.0]
+        at_m = [-BEHIND_M + 9.0, one.drawn.road.left_m + one.shift_m + 2.0, 0.0]
         words = rr.Points3D.from_fields(
             positions=[at_m], radii=[0.02], colors=[WORDS], show_labels=True
         )
@@ -181,16 +182,22 @@ def _log_car(one: OnRoad, car: int) -> None:
 
 
 def _log_zone(one: OnRoad, path: str, car: SceneCar, zone: SceneZone) -> None:
-    """Its outline on the road; of the least robust rollout what happens in it, at its far end."""
+    """Its outline on the road; of the least robust rollout what happens in it, beyond its far end.
+
+    There they leave the ego's own name free.
+    """
     near_m, far_m, aside_m = car.length_m / 2, car.length_m / 2 + zone.ahead_m, 0.8 * car.width_m
     outline = [(near_m, -aside_m), (far_m, -aside_m), (far_m, aside_m), (near_m, aside_m)]
     strip = [(x, y, 0.04) for x, y in [*outline, outline[0]]]
     one.file.static(path, rr.LineStrips3D([strip], colors=shade(GREEN), radii=0.06))
     if one.rank == 1:
         label = rr.Points3D(
-            [(far_m, -aside_m - 0.6, 0.0)], labels=[zone.words], colors=shade(GREEN), radii=0.02,
+            [(far_m + ZONE_WORDS_M, -aside_m - ZONE_WORDS_ASIDE_M, 0.0)],
+            labels=[zone.words],
+            colors=shade(GREEN),
+            radii=0.02,
             show_labels=True,
-        )  # fmt: skip
+        )
         one.file.static(f"{path}/words", label)
 
 

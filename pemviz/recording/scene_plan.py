@@ -34,6 +34,8 @@ LETTER, AROUND = 0.041, 0.15
 """About how wide a letter is, and what is left free around words, in heights of the view."""
 ROAD_LAPS, CAR_LAPS = 8, 4
 """Lines side by side that fill a strip of road, and a car."""
+LAP_SHARE = 0.7
+"""Radius of such a line, of its share of the width: they overlap, or specks would be left."""
 TITLE_M = 20.0
 """Where the middle of a title is, from the view's left end."""
 HALO_M = 0.7
@@ -208,7 +210,7 @@ def _seen(one: OnRoad, car: int) -> BoolArray:
 def _filled(edges: FloatArray, laps: int) -> tuple[FloatArray, float]:
     """A line back and forth that fills what is between two lines ``[2, N, 2]``, and its radius."""
     width_m = float(np.mean(np.linalg.norm(edges[1] - edges[0], axis=1)))
-    radius_m = 0.6 * width_m / laps
+    radius_m = LAP_SHARE * width_m / laps
     shares = np.linspace(radius_m / width_m, 1.0 - radius_m / width_m, laps)
     lines = [edges[0] + share * (edges[1] - edges[0]) for share in shares]
     return np.concatenate([line[:: 1 - 2 * (lap % 2)] for lap, line in enumerate(lines)]), radius_m
@@ -216,7 +218,7 @@ def _filled(edges: FloatArray, laps: int) -> tuple[FloatArray, float]:
 
 def _rectangle(length_m: float, width_m: float) -> tuple[FloatArray, float]:
     """Likewise of a rectangle around the origin."""
-    end_m = length_m / 2 - 0.6 * width_m / CAR_LAPS
+    end_m = length_m / 2 - LAP_SHARE * width_m / CAR_LAPS
     sides = [[(-end_m, y), (end_m, y)] for y in (-width_m / 2, width_m / 2)]
     return _filled(np.array(sides), CAR_LAPS)
 

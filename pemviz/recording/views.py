@@ -22,7 +22,7 @@ MOST_STAGE_TABS = 14
 MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
 EYE_M = (-8.0, -13.0, 11.0)
-LOOK_AT_M = (11.0, 5.0, 0.0)
+LOOK_AT_M = (8.5, 5.0, 0.0)
 MOST_RANKED = 20
 """Rollouts that are among the least robust."""
 STRIP_SHARE = 0.25
