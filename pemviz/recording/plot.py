@@ -80,13 +80,15 @@ LARGE = Shape(width=1.2, left=0.14, right=0.32, words_up=0.035)
 WITHOUT_LEGEND = Shape(width=2.3, left=0.28, right=0.1, below=0.32)
 ROWS = Shape(width=1.9, left=0.1, right=0.1)
 """Rows that carry their own words."""
+LEGEND_SHARE = 0.6
 LETTER, AROUND = 0.055, 0.2
 """How wide a letter of a row's name is, and what is around it, in heights of the plot."""
 
 
 def named_rows(names: Sequence[str]) -> Shape:
-    """Of rows with these names beside them."""
-    return Shape(left=LETTER * max(map(len, names)) + AROUND)
+    """Of rows with these names beside them; the longer they are, the more room its legend needs."""
+    left = LETTER * max(map(len, names)) + AROUND
+    return Shape(left=left, right=max(NORMAL.right, LEGEND_SHARE * left))
 
 
 @dataclass(frozen=True)
