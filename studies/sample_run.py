@@ -21,7 +21,7 @@ from pemviz.runs.run_folder import RunStore
 
 TARGET = Path(__file__).resolve().parents[1] / "recordings" / "sample"
 RUN_ID = "sample"
-MOST_BYTES = 2_600_000
+MOST_BYTES = 2_000_000
 """Of the folder; a quarter of it are the twenty rollouts from above."""
 
 

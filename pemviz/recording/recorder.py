@@ -16,7 +16,14 @@ from pemviz.recording.rollouts import ROLLOUT_LIMIT, choose, log_rollouts, quota
 from pemviz.recording.scene import MOST_ROADS, OnRoad, log_scene, on_roads, roads_shown
 from pemviz.recording.scene_plan import log_scene_plan
 from pemviz.recording.stream import RecordingFile, compact
-from pemviz.recording.views import Subject, all_views, blueprint, views_with_data, without_signals
+from pemviz.recording.views import (
+    FROM_ABOVE,
+    Subject,
+    all_views,
+    blueprint,
+    views_with_data,
+    without_signals,
+)
 from pemviz.reports.charts import uncertainty_chart
 from pemviz.runs.drawn_rollout import WHOLE, slots_of
 from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
@@ -269,7 +276,9 @@ class _Writing:
         )
         if config.repetitions > 1:
             self._write_scene(stage=last)
-        for one in self._on_roads(last)[1:]:  # now that the ranking does not change any more
+        for one in self._on_roads(last)[
+            1:FROM_ABOVE
+        ]:  # now that the ranking does not change any more
             log_scene_plan(one)
         if self._frames:
             track = self._tracks[0]

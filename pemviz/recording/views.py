@@ -23,8 +23,9 @@ MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
 EYE_M = (-8.0, -13.0, 11.0)
 LOOK_AT_M = (8.5, 5.0, 0.0)
-MOST_RANKED = 20
-"""Rollouts that are among the least robust."""
+FROM_ABOVE = 5
+"""Of the least robust rollouts, seen from above in a tab each; more tabs than fit a small window
+show no more of what goes wrong, and each takes 30 kB."""
 STRIP_SHARE = 0.25
 """Of the height that the scene has below the answer in short."""
 LEGEND_CORNERS = {paths.MISSED_SHARE: rrb.Corner2D.RightTop}
@@ -263,7 +264,7 @@ def _worst(subject: Subject) -> tuple[ContainerSpec, ...]:
     plans = tuple(
         ViewSpec("plan", f"Rank {rank}" if rank == 1 else f"{rank}",
                  (paths.plan(rank) + paths.SUBTREE,), bounds=bounds)
-        for rank in range(1, MOST_RANKED + 1)
+        for rank in range(1, FROM_ABOVE + 1)
     )  # fmt: skip
     plan = ContainerSpec("tabs", "From above, by rank", plans)
     upper = _beside(
