@@ -137,7 +137,7 @@ def first_signs(page: Page, address: str, *, repeats: int) -> Iterator[tuple[str
         page.locator("main button.main:enabled").wait_for()
         page.wait_for_timeout(SETTLE_MS)
         yield "first sign of a run", float(page.evaluate(CHANGE_MS, [START, RAN]))
-        page.get_by_role("button", name="Stop").wait_for(state="hidden")
+        page.get_by_role("banner").get_by_role("button", name="Stop").wait_for(state="hidden")
 
 
 @contextmanager
