@@ -106,7 +106,7 @@ export function Runs({ at, state, tell }) {
           onChange=${() => tick(row.name)} />`}</td>
         <td>${row.scenario}</td><td>${row.detector}</td>
         <td class="n" title=${row.headline}>${row.rule ? html`<span class="quiet">${row.rule}</span> ` : ""}${short(row.probability)}</td>
-        <td class="n">${row.act_on || "\u2013"}</td><td>${row.decided_by}</td>
+        <td class="n">${(row.act_on || "\u2013").split(/ (?=\()/).map((part) => html`<span class="whole">${part}</span> `)}</td><td>${row.decided_by}</td>
         <td>${row.sampling_holds ? html`<span class="yes">\u2713 holds</span>` : html`<span class="no">\u2717 ${row.probability == null ? "no estimate" : "does not hold"}</span>`}</td>
         <td class="n" title=${row.warnings.join("\n")}>${row.warnings.length || ""}</td>
         <td class="n">${row.rollouts.toLocaleString("en")}</td><td>${row.status}</td>
