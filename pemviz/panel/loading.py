@@ -30,8 +30,8 @@ from pemviz.types import Simulator
 
 READ_BYTES = 64 * 1024**2
 """Larger files of rollouts stay on disk."""
-VISITED_ROLLOUTS = 20_000
-"""Of which curves are means, those of all stages together."""
+VISITED_ROLLOUTS, OF_A_STAGE = 20_000, 4_000
+"""Of which curves are means, those of all stages together and of one: a hundred states of each."""
 GROUP_ROWS = 20
 MOST_CURVES = 200
 BIN_M = 0.25
@@ -205,7 +205,7 @@ def _visited_curves(
     curves: list[ProposalCurve] = []
     stages = by_stage(table)
     stages = stages[-1:] if follows_model else stages[-MOST_CURVES:]
-    most = VISITED_ROLLOUTS // len(stages)
+    most = min(VISITED_ROLLOUTS // len(stages), OF_A_STAGE)
     for rows in stages:
         repetition, stage = (int(table[name][rows[0]]) for name in ("repetition", "stage"))
         visited = _spread(rows, most=most)

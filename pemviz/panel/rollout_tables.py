@@ -15,7 +15,7 @@ from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator
 
-KEPT_ROLLOUTS = 20_000
+KEPT_ROLLOUTS, MOST_STAGES = 20_000, 1 << 32
 FARTHEST = 1e9
 """Beyond any gap [m], speed [m/s] or log likelihood of a step [nats]."""
 _KINDS = {"detected": "b", "violated": "b", "repetition": "i", "stage": "i", ROLLOUT: "i"}
@@ -53,7 +53,7 @@ def thinned(
 
 def by_stage(table: Mapping[str, AnyArray]) -> list[IntArray]:
     """The rows of each stage of each repetition of a table that is not empty, ascending."""
-    key = table["repetition"].astype(np.int64) * (1 << 32) + table["stage"]
+    key = _stage_keys(table)
     order = np.argsort(key, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
 
@@ -65,11 +65,13 @@ def in_stage(table: Mapping[str, AnyArray], stage: StageSummary) -> BoolArray:
 
 def in_final_stages(table: Mapping[str, AnyArray], *, stages: Sequence[StageSummary]) -> BoolArray:
     """Which rollouts ``[N]`` of a table belong to a final stage."""
-    chosen = np.zeros(table["stage"].shape, dtype=np.bool_)
-    for stage in stages:
-        if stage.kind == "final":
-            chosen |= in_stage(table, stage)
-    return chosen
+    final = [one.repetition * MOST_STAGES + one.stage for one in stages if one.kind == "final"]
+    return np.isin(_stage_keys(table), final)
+
+
+def _stage_keys(table: Mapping[str, AnyArray]) -> IntArray:
+    """One number ``[N]`` for each rollout's stage and repetition."""
+    return table["repetition"].astype(np.int64) * MOST_STAGES + table["stage"]
 
 
 def final_violations(
