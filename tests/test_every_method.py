@@ -112,7 +112,7 @@ def test_every_page_of_the_panel_fits_the_method(method, shown):
     assert ("Threshold" in learned) == (method.stages == "learning")
     assert ("a run alone" in learned) == (method.stages == "runs")
     assert ("a stage alone" in learned) == (method.stages == "learning")
-    names = [line.name for line in learning_page.proposal_curves(run).lines]
+    names = [mark.label for mark in learning_page.proposal_chart(run).marks]
     assert any(name.startswith("proposal after stage") for name in names) == (
         not method.follows_model and method.curve_name is None
     )

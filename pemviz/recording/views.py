@@ -23,7 +23,7 @@ MOST_SIGNALS_IN_ROW = 4
 PROBABILITY_AXIS = (-0.02, 1.03)
 EYE_M = (-8.0, -13.0, 11.0)
 LOOK_AT_M = (8.5, 5.0, 0.0)
-FROM_ABOVE = 5
+FROM_ABOVE = 3
 """Of the least robust rollouts, seen from above in a tab each; more tabs than fit a small window
 show no more of what goes wrong, and each takes 30 kB."""
 STRIP_SHARE = 0.25
