@@ -177,5 +177,5 @@ def test_record_carries_out_a_registered_method(tmp_path, capsys):
     loaded = load_run(folder)
     shown = learning_page.learning(loaded)
     assert "A coin is thrown &amp; &lt;i&gt;nothing&lt;/i&gt; is learned." in shown
-    assert "the coin <b>" in {line.name for line in learning_page.proposal_curves(loaded).lines}
+    assert "the coin <b>" in {mark.label for mark in learning_page.proposal_chart(loaded).marks}
     assert "Pareto k-hat" in why_page.why(loaded)
