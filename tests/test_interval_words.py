@@ -11,6 +11,7 @@ from html import unescape
 
 import pytest
 
+from pemviz.charts.chart import DOTTED
 from pemviz.config import METHODS, ExperimentConfig
 from pemviz.config.toml_files import config_text
 from pemviz.latents import LatentCounts
@@ -168,8 +169,8 @@ def test_every_page_of_the_panel(method, reliable, shown, tmp_path):
     assert bool(CLAIM.search(both)) == (not against)
     assert ("not a 95 % interval" in both) == bool(against)
     assert all(words in both for words in against)
-    dashed = "stroke-dasharray='3 3'"  # as the chart of intervals draws what is none
-    assert (dashed in compare_page.runs_page([run, other])) == bool(against)
+    dotted = f"stroke-dasharray='{DOTTED}'"
+    assert (dotted in compare_page.runs_page([run, other])) == bool(against)
     (tmp_path / "a-run").mkdir()
     write_result(tmp_path / "a-run", result)
     (tmp_path / "a-run" / "config.toml").write_text(config_text(result.config), encoding="utf-8")

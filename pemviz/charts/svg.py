@@ -350,7 +350,8 @@ def _row(row: marks.Row, top: float, px: Callable[[float], float], right: float)
             )
         else:
             line = f"<path d='M{start:.1f} {middle}H{max(end, start + 3.0):.1f}'"
-            parts.append(f"{line} stroke='{row.color}' stroke-width='4' stroke-dasharray='3 3'/>")
+            dotted = _dash(marks.DOTTED)
+            parts.append(f"{line} stroke='{row.color}' stroke-width='4'{dotted}/>")
     elif not row.values:
         line = f"<path d='M{EDGE_PX} {middle}H{right}' stroke='{row.color}'"
         parts.append(f"{line} stroke-width='1.5' stroke-dasharray='2 4'/>")

@@ -103,7 +103,7 @@ def runs_page(runs: Sequence[RunData]) -> str:
         return quiet(f"Tick 2 to {MOST_RUNS} runs to see them side by side.")
     named = [(f"{letter}  {run.name}", run.result) for letter, run in _lettered(runs)]
     doubted = any(run_interval_caveats(run.result) for run in runs)
-    kind = "intervals (dashed: not a 95 % interval)" if doubted else "95 % intervals"
+    kind = "intervals (dotted: not a 95 % interval)" if doubted else "95 % intervals"
     chart = runs_chart(named, limit=None)
     rows = tuple((f"{letter}  {run.name}", *_figures(run)) for letter, run in _lettered(runs))
     return cells(

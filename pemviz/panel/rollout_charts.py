@@ -302,5 +302,5 @@ def _contact(chosen: Track, words: str = "") -> tuple[Veil, ...]:
 
 
 def _short(name: str) -> str:
-    most = NAME_CHARACTERS
-    return name if len(name) <= most else f"{name[: most - 1]}\N{HORIZONTAL ELLIPSIS}"
+    cut = f"{name[: NAME_CHARACTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+    return name if len(name) <= NAME_CHARACTERS else cut

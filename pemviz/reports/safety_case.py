@@ -372,7 +372,7 @@ def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
 
 
 def _side_by_side(runs: Sequence[CaseRun], *, below: float | None) -> Iterator[Section]:
-    caption = "Estimates with their intervals (sampling alone; dashed: no interval at its level)"
+    caption = "Estimates with their intervals (sampling alone; dotted: no interval at its level)"
     caption += "" if below is None else f"; the dashed line is {below:g}"
     if len(runs) > MOST_DRAWN:
         caption += f"; the first {MOST_DRAWN} of {len(runs)} runs"

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.analysis.model_uncertainty import ModelClassAnswer
+from pemviz.charts.chart import DOTTED
 from pemviz.charts.svg import svg
 from pemviz.config import METHODS
 from pemviz.latents import LatentCounts
@@ -139,7 +140,7 @@ def test_the_drawing_stays_within_its_axis(low):
     one = result(estimate(ci_low=low, ci_high=1.2), model_classes=MODEL_CLASSES)
     drawn = svg(uncertainty_chart(one))
     assert "nan" not in drawn
-    dotted = drawn.count("stroke-dasharray='3 3'")
+    dotted = drawn.count(f"stroke-dasharray='{DOTTED}'")
     assert drawn.count("<rect") + dotted == sum(
         source.high is not None for source in uncertainty_budget(one)
     )
