@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from scipy.optimize import minimize
 from scipy.special import expit, logit
 from scipy.stats import norm
 from scipy.stats import t as student_t
+from sklearn.model_selection import GroupKFold
 
 from pemviz.pem import PemError
 from pemviz.pem.fitting.fit import fit_pem
@@ -268,6 +270,25 @@ def test_fits_in_processes_are_those_of_one():
     assert shared.whole.card.name == "own"
     assert shared.whole.digest == whole(table.obstacles).digest
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_boosted_trees_are_calibrated_by_the_other_parts():
+    table, _ = draw_tracks(seed=2, tau_s=0.2, frailty=0.0, sequences=6, tracks_each=8)
+    folds = list(GroupKFold(3).split(table.sequence, groups=table.sequence))
+    raw = np.empty(len(table))
+    for train, held_out in folds:
+        part = fit_pem(table.obstacles.take(train), model="gb-raw", calibrate=False)
+        raw[held_out] = part.logit(table.obstacles.salient[held_out])
+
+    def loss(line, logit, detected):
+        return np.logaddexp(0.0, np.where(detected, -1.0, 1.0) * (line[0] * logit + line[1])).sum()
+
+    found = cross_fit(table, model="gb-raw", folds=3).logit
+    for _, held_out in folds:
+        others = np.delete(np.arange(len(table)), held_out)
+        line = minimize(loss, (1.0, 0.0), args=(raw[others], table.detected[others])).x
+        assert line[0] > 0.0
+        np.testing.assert_allclose(found[held_out], line[0] * raw[held_out] + line[1], atol=1e-3)
 
 
 def test_a_report_holds_what_a_card_shows():

@@ -17,7 +17,8 @@ ModelKind = Literal["guess-mu", "lr", "ml-nn", "b-nn", "gb-paper", "gb-raw"]
 MODEL_KINDS: tuple[ModelKind, ...] = get_args(ModelKind)
 
 Progress = Callable[[int, int], None]
-_FEATURE_SETS: dict[ModelKind, FeatureSet] = {"gb-paper": "paper", "gb-raw": "raw"}
+BOOSTED: dict[ModelKind, FeatureSet] = {"gb-paper": "paper", "gb-raw": "raw"}
+"""What boosted trees see, by the name of their kind."""
 
 
 @dataclass(frozen=True)
@@ -46,20 +47,23 @@ def fit_pem(
     seed: int = 0,
     name: str | None = None,
     provenance: Provenance | None = None,
+    calibrate: bool = True,
     on_progress: Progress | None = None,
 ) -> SingleModel | EnsemblePem:
     """Train a model; the same table and seed give the same model to the last bit.
 
     Normalisation is fitted on the table too. On video boosted trees are calibrated on sequences
-    that they have not seen; ``b-nn`` gives an ensemble of posterior samples. Name and provenance
-    are the kind and the table's source if None; ``on_progress`` is called with steps done and steps
-    in all.
+    that they have not seen, or not at all without ``calibrate``; ``b-nn`` gives an ensemble of
+    posterior samples. Name and provenance are the kind and the table's source if None;
+    ``on_progress`` is called with steps done and steps in all.
 
     Raises:
         PemError: unknown kind, a missing optional package, or a table without both outcomes.
     """
     card = _card(table, model=model, name=name or model, seed=seed, provenance=provenance)
-    return _fit(table, model=model, card=card, seed=seed, on_progress=on_progress)
+    return _fit(
+        table, model=model, card=card, seed=seed, calibrate=calibrate, on_progress=on_progress
+    )
 
 
 def fit_ensemble(
@@ -95,6 +99,7 @@ def fit_ensemble(
             model=model,
             card=replace(card, name=f"{whole}[{index}]"),
             seed=int(random.integers(2**31)),
+            calibrate=True,
             on_progress=None,
         )
         assert not isinstance(member, EnsemblePem)  # noqa: S101 (b-nn is refused above)
@@ -124,7 +129,13 @@ def _card(
 
 
 def _fit(
-    table: SalientTable, *, model: ModelKind, card: PemCard, seed: int, on_progress: Progress | None
+    table: SalientTable,
+    *,
+    model: ModelKind,
+    card: PemCard,
+    seed: int,
+    calibrate: bool,
+    on_progress: Progress | None,
 ) -> SingleModel | EnsemblePem:
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
     if model in ("ml-nn", "b-nn"):
@@ -142,10 +153,16 @@ def _fit(
             return fits.fit_logistic(table, card=replace(card, recipe=fits.LR_RECIPE))
         if model == "guess-mu":
             return fits.fit_guess_mu(table, card=replace(card, recipe=fits.GUESS_MU_RECIPE))
-        sees = _FEATURE_SETS[model]
-        words = fits.trees_recipe(sees, by_sequence=table.sequence is not None)
-        card = replace(card, recipe=words)
+        sees = BOOSTED[model]
+        words = fits.trees_recipe(
+            sees, by_sequence=table.sequence is not None, calibrated=calibrate
+        )
         return fits.fit_trees(
-            table, card=card, feature_set=sees, seed=seed, on_progress=on_progress
+            table,
+            card=replace(card, recipe=words),
+            feature_set=sees,
+            seed=seed,
+            calibrate=calibrate,
+            on_progress=on_progress,
         )
     raise PemError(f"unknown model {model!r}, allowed: {', '.join(MODEL_KINDS)}")

@@ -73,12 +73,17 @@ def _require_both_outcomes(table: SalientTable) -> None:
         raise PemError(f"{table.source}: all {len(table)} obstacles were {outcome}")
 
 
-def trees_recipe(feature_set: FeatureSet, *, by_sequence: bool) -> str:
+def trees_recipe(feature_set: FeatureSet, *, by_sequence: bool, calibrated: bool) -> str:
     """How trees are fitted, for the model card."""
-    return (
+    boosted = (
         f"scikit-learn HistGradientBoostingClassifier on {', '.join(FEATURES[feature_set])}; "
         f"{ROUNDS} rounds, learning rate {LEARNING_RATE:g}, at most {LEAVES} leaves of at least "
-        f"{LEAF_ROWS} obstacles, L2 penalty {RIDGE:g}; then Platt scaling of the logit, fitted "
+        f"{LEAF_ROWS} obstacles, L2 penalty {RIDGE:g}"
+    )
+    if not calibrated:
+        return f"{boosted}; not calibrated"
+    return (
+        f"{boosted}; then Platt scaling of the logit, fitted "
         f"to {CROSS_FITS}-fold cross-fitted logits{' of sequences' if by_sequence else ''}"
     )
 
@@ -89,21 +94,24 @@ def fit_trees(
     card: PemCard,
     feature_set: FeatureSet,
     seed: int,
+    calibrate: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> TreesPem:
-    """Train and calibrate; the same table and seed give the same arrays.
+    """Train, and calibrate if told to; the same table and seed give the same arrays.
 
     Folds of the calibration are of sequences if the table has enough; ``on_progress`` is called
     with fits done and fits in all.
     """
     features = tree_features(table.salient, feature_set=feature_set).T
-    steps = CROSS_FITS + 1
+    steps = CROSS_FITS + 1 if calibrate else 1
 
     def tell(done: int) -> None:
         if on_progress is not None:
             on_progress(done, steps)
 
-    calibration = _calibrate(features, table, seed=seed, tell=tell)
+    calibration = (1.0, 0.0)
+    if calibrate:
+        calibration = _calibrate(features, table, seed=seed, tell=tell)
     booster = _boost(features, table.detected, seed=seed)
     tell(steps)
     return _to_arrays(booster, card=card, feature_set=feature_set, calibration=calibration)
@@ -145,9 +153,20 @@ def _calibrate(
         booster = _boost(features[train], detected[train], seed=seed)
         logits[held_out] = booster.decision_function(features[held_out])
         tell(index + 1)
-    platt = LogisticRegression(C=1e6).fit(logits[:, None], detected)
-    slope = float(np.asarray(platt.coef_)[0, 0])
-    return (slope, float(np.asarray(platt.intercept_)[0])) if slope > 0.0 else (1.0, 0.0)
+    return platt_scaling(logits, detected)
+
+
+def platt_scaling(logit: FloatArray, detected: BoolArray) -> tuple[float, float]:
+    """Slope and intercept that calibrate logits ``[n]`` of models that did not see ``detected``.
+
+    (1, 0) where there are too few of one outcome, or where no rising line explains them (Platt,
+    'Probabilistic outputs for support vector machines', 1999).
+    """
+    if min(detected.sum(), (~detected).sum()) < MOST_UNEVEN:
+        return 1.0, 0.0
+    line = LogisticRegression(C=1e6).fit(logit[:, None], detected)
+    slope = float(np.asarray(line.coef_)[0, 0])
+    return (slope, float(np.asarray(line.intercept_)[0])) if slope > 0.0 else (1.0, 0.0)
 
 
 def _folds(

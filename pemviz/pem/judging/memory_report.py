@@ -18,7 +18,7 @@ from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
 from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable, TrackTable
-from pemviz.pem.fitting.fit import ModelKind, fit_pem
+from pemviz.pem.fitting.fit import BOOSTED, ModelKind, fit_pem
 from pemviz.pem.fitting.memory import MemoryFit, fit_memory
 from pemviz.pem.judging.cross_validation import score
 from pemviz.pem.models import memory as memory_law
@@ -289,6 +289,10 @@ def cross_fit(
 ) -> CrossFitted:
     """Fit a model to all but a part of the sequences, and evaluate it on that part.
 
+    Boosted trees are calibrated, part by part, on what the other parts' models made of sequences
+    that they had not seen: a calibration has two numbers, and folds within folds would take four
+    times as many fits.
+
     Args:
         tracks: n observations.
         model: Its kind.
@@ -309,7 +313,7 @@ def cross_fit(
         raise PemError(f"folds is {folds}, allowed: 2 to the number of sequences, {sequences}")
     parts = list(GroupKFold(folds).split(tracks.sequence, groups=tracks.sequence))
     obstacles = tracks.obstacles
-    part = partial(fit_pem, model=model, seed=seed)
+    part = partial(fit_pem, model=model, seed=seed, calibrate=False)
     tasks = [_Task(part, obstacles, *rows) for rows in parts]
     if whole is not None:  # first: it is the longest, and none should wait for it alone
         tasks.insert(0, _Task(whole, obstacles, None, np.zeros(0, dtype=np.int64)))
@@ -323,7 +327,20 @@ def cross_fit(
     logit = np.empty(len(tracks))
     for (_, held_out), (_, of_part) in zip(parts, answers[len(tasks) - folds :], strict=True):
         logit[held_out] = of_part
+    if model in BOOSTED:
+        logit = _calibrated(logit, tracks.detected, [held_out for _, held_out in parts])
     return CrossFitted(logit, folds, whole=None if whole is None else answers[0][0])
+
+
+def _calibrated(logit: FloatArray, detected: BoolArray, parts: Sequence[IntArray]) -> FloatArray:
+    """Held-out logits, those of each part by a line through all others."""
+    from pemviz.pem.fitting.linear_and_trees import platt_scaling  # noqa: PLC0415  slow to import
+
+    result = np.empty_like(logit)
+    for part in parts:
+        slope, intercept = platt_scaling(np.delete(logit, part), np.delete(detected, part))
+        result[part] = slope * logit[part] + intercept
+    return result
 
 
 @dataclass(frozen=True, eq=False)
