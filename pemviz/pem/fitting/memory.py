@@ -30,7 +30,7 @@ TAU_GRID_S = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 31)])
 FRAILTY_GRID = np.linspace(0.0, 3.0, 13)
 NODES = np.linspace(-6.0, 6.0, 65)
 FEWEST_SEQUENCES = 2
-CHUNK_TRACKS = 16
+CHUNK_TRACKS = 32
 """Worked on at once: what they need stays in a core's cache."""
 BLOCK_ROWS = 4
 """Outcomes of a track whose probabilities are multiplied before a logarithm is taken."""
@@ -193,6 +193,7 @@ def _tracks_log_likelihood(
         moved = quantile[rows, None] * np.sqrt(1.0 + frailty**2) + frailty * nodes
         own = ndtr(np.where(missed[:, None], moved, -moved))
         own[left_out] = 1.0
+        least = own.min()
         after = np.empty_like(own)
         log_weight = -0.5 * nodes**2
         log_weight = log_weight - np.log(np.exp(log_weight).sum())
@@ -200,7 +201,8 @@ def _tracks_log_likelihood(
             rho = persistence(since_s, float(tau_s))
             np.multiply(own, (1.0 - rho)[:, None], out=after)
             after += (rho * repeats)[:, None]
-            np.maximum(after, SMALLEST, out=after)
+            if least * (1.0 - rho).min() < SMALLEST:
+                np.maximum(after, SMALLEST, out=after)
             log_block = np.log(np.multiply.reduceat(after, blocks, axis=0))
             log_track = np.add.reduceat(log_block, of_track, axis=0)
             joint = log_track + log_weight
