@@ -26,6 +26,7 @@ spec = "always[0,59] (gap >= 6.0)"
 stages = 2
 rollouts = 40
 final_rollouts = 60
+measured_memory = false
 epochs = 50
 seed = 3
 [scenario]

@@ -58,7 +58,7 @@ def build(scenario):
     return Faulty(scenario)
 '''
 WORDS = ["--simulator", "faulty", "--method", "mixture", "--stages", "1", "--rollouts", "40",
-         "--final-rollouts", "40", "--no-plan", "--no-recording",
+         "--final-rollouts", "40", "--no-plan", "--no-recording", "--no-measured-memory",
          "--fail-above", "0.5"]  # fmt: skip
 FAULTS = {
     "exit0": "SystemExit", "exit1": "SystemExit", "interrupt": "KeyboardInterrupt", "odd": "Odd",
@@ -178,6 +178,7 @@ def test_a_sweep_marks_the_run_and_does_the_rest(fault, tmp_path, capsys):
     config = tmp_path / "tiny.toml"
     config.write_text(
         'method = "naive"\nfinal_rollouts = 20\nseed = 3\nplan = false\nreference = false\n'
+        "measured_memory = false\n"
     )
     varied = ["--vary", "simulator=faulty,vectorized", "--workers", "1", "--json"]
     assert main(["sweep", str(config), *varied, "--out", str(tmp_path / "out")]) == 3

@@ -13,7 +13,7 @@ from tests.comparable_results import comparable, comparable_result
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ["--stages", "1", "--rollouts", "20", "--final-rollouts", "20", "--epochs", "2",
-         "--no-plan", "--no-recording"]  # fmt: skip
+         "--no-plan", "--no-recording", "--no-measured-memory"]  # fmt: skip
 
 
 def record(tmp_path, *words):

@@ -34,6 +34,7 @@ method = "adaptive"
 stages = 6
 rollouts = 60
 final_rollouts = 80
+measured_memory = false
 epochs = 60
 repetitions = 2
 seed = 5

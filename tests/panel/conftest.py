@@ -11,9 +11,15 @@ from pemviz.panel.loading import load_run
 from pemviz.panel.run_data import RunData
 
 SMALL = ExperimentConfig(
-    method="adaptive", stages=3, rollouts=40, final_rollouts=40, epochs=20, seed=5
+    method="adaptive",
+    stages=3,
+    rollouts=40,
+    final_rollouts=40,
+    epochs=20,
+    seed=5,
+    measured_memory=False,
 )
-NAIVE = replace(SMALL, method="naive", final_rollouts=60)
+NAIVE = replace(SMALL, method="naive", final_rollouts=60, measured_memory=True)
 
 
 def wait_until(controller: Controller, done=lambda state: not state.running, *, timeout_s=600.0):

@@ -13,7 +13,9 @@ from pemviz.runs.run_folder import RunStore
 from pemviz.types import StageResult
 from tests.toy import constant_pem
 
-LEARNING = ExperimentConfig(method="adaptive", stages=2, rollouts=40, final_rollouts=60, epochs=20)
+LEARNING = ExperimentConfig(
+    method="adaptive", stages=2, rollouts=40, final_rollouts=60, epochs=20, measured_memory=False
+)
 
 
 class Listener:

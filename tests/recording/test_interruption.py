@@ -37,7 +37,8 @@ class Killer:
             os.kill(os.getpid(), signal.SIGKILL)
 
 run_experiment(
-    ExperimentConfig(method="adaptive", stages=3, rollouts=20, final_rollouts=20, epochs=2),
+    ExperimentConfig(method="adaptive", stages=3, rollouts=20, final_rollouts=20, epochs=2,
+    measured_memory=False),
     observers=[Recorder(Path(sys.argv[1])), Killer()],
 )
 """

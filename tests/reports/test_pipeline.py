@@ -69,7 +69,7 @@ def test_nasty_text_stays_text():
     assert "]]>" in case.findtext("error", "")
 
 
-QUICK = ["--no-plan", "--final-rollouts", "200", "--no-recording", "--json"]
+QUICK = ["--no-plan", "--no-measured-memory", "--final-rollouts", "200", "--no-recording", "--json"]
 
 
 def record(tmp_path, *words):

@@ -26,7 +26,8 @@ from tests.toy import FunctionPem
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ExperimentConfig(
-    method="adaptive", stages=2, rollouts=30, final_rollouts=30, epochs=5, plan=False
+    method="adaptive", stages=2, rollouts=30, final_rollouts=30, epochs=5, plan=False,
+    measured_memory=False,
 )  # fmt: skip
 
 
@@ -228,6 +229,8 @@ def test_before_anything_carries_an_estimate_the_least_robust_of_all_stages_are_
 
 @pytest.mark.parametrize("metric", ["classical", "smooth-cumulative"])
 def test_an_experiment_can_be_sent_to_another_process(metric):
-    config = ExperimentConfig(method="naive", metric=metric, final_rollouts=20, plan=False)
+    config = ExperimentConfig(
+        method="naive", metric=metric, final_rollouts=20, plan=False, measured_memory=False
+    )
     sent = pickle.loads(pickle.dumps(build_experiment(config)))  # noqa: S301  our own
     assert run(sent).estimate == run_experiment(config).estimate

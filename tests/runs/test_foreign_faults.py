@@ -22,7 +22,7 @@ from tests.toy import FunctionPem
 
 SMALL = ExperimentConfig(
     method="mixture", stages=2, rollouts=40, final_rollouts=40, seed=4, plan=False, repetitions=2,
-    scenario=ScenarioConfig(states=40), spec="always[0,39] (gap >= 9.0)",
+    scenario=ScenarioConfig(states=40), spec="always[0,39] (gap >= 9.0)", measured_memory=False,
 )  # fmt: skip
 
 

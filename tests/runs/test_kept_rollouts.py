@@ -18,7 +18,13 @@ from pemviz.runs.run_folder import carry_out
 from tests.faults.test_resume import StopAfter, contents, folder_of
 
 ALL = ExperimentConfig(
-    method="mixture", stages=1, rollouts=60, final_rollouts=240, seed=4, memory_s=0.2
+    method="mixture",
+    stages=1,
+    rollouts=60,
+    final_rollouts=240,
+    seed=4,
+    memory_s=0.2,
+    measured_memory=False,
 )
 CONFIGS = {"all": ALL, "violations": replace(ALL, keep="violations")}
 

@@ -20,7 +20,7 @@ from tests.runs.recounts import assert_recounted
 RULES = {"near": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 4.0)"}
 ALL = ExperimentConfig(
     method="adaptive", stages=2, rollouts=150, final_rollouts=100, epochs=60, learning_rate=1e-2,
-    memory_s=0.2, seed=4,
+    memory_s=0.2, seed=4, measured_memory=False,
 ).with_rules(RULES)  # fmt: skip
 HELD, EVEN, LISTED = 25, 10, 20
 

@@ -16,7 +16,9 @@ pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "random_start.py"
 RULES = {"near": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 4.0)"}
-ALL = ExperimentConfig(method="mixture", stages=3, rollouts=150, final_rollouts=100, seed=4)
+ALL = ExperimentConfig(
+    method="mixture", stages=3, rollouts=150, final_rollouts=100, seed=4, measured_memory=False
+)
 STARTS = replace(ALL, spec="always[0,50] (gap >= 0.0)")
 ENOUGH, EVEN, LISTED = 30, 10, 20
 

@@ -36,7 +36,13 @@ RULES = {
 }
 """About 1.4e-2, 9e-3 and 4e-5; ``deep`` implies ``touch``."""
 CONFIG = ExperimentConfig(
-    method="mixture", stages=5, rollouts=150, final_rollouts=300, epochs=60, seed=3
+    method="mixture",
+    stages=5,
+    rollouts=150,
+    final_rollouts=300,
+    epochs=60,
+    seed=3,
+    measured_memory=False,
 ).with_rules(RULES)
 
 

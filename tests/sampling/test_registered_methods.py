@@ -78,7 +78,7 @@ NAMES = {
     "restless": "third_party_broken:RESTLESS",
     "naive": "third_party_methods:SHADOW",
 }
-SMALL = ["--no-plan", "--final-rollouts", "60", "--seed", "3"]
+SMALL = ["--no-plan", "--no-measured-memory", "--final-rollouts", "60", "--seed", "3"]
 
 
 @pytest.fixture

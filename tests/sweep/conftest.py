@@ -13,6 +13,7 @@ method = "adaptive"
 stages = 2
 rollouts = 20
 final_rollouts = 20
+measured_memory = false
 epochs = 20
 seed = 3
 """
