@@ -59,8 +59,8 @@ def burst_lines(explanation: Explanation) -> list[str]:
         likely = bursts.start if bursts.again is None else bursts.whole
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
-            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on, probability "
-            f"{_probability(likely)}"
+            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on, which "
+            f"has the probability {_probability(likely)} by itself"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
     if memory is not None:

@@ -109,8 +109,8 @@ def range_words(found: OpenRange, result: RunResult) -> tuple[str, str]:
     if source.kind == "sampling" and source.note:
         return f"{ACT_ON}nothing yet", f"the sampling does not hold: {source.note}"
     if found.high is not None:
-        from_low = f" (from {end_text(found.low)})" if found.low else ""
-        return f"{ACT_ON}at most {end_text(found.high)}{from_low}", f"{DECIDED_BY}{source.name}"
+        least = f", at least {end_text(found.low)}" if found.low else ""
+        return f"{ACT_ON}at most {end_text(found.high)}{least}", f"{DECIDED_BY}{source.name}"
     why = "" if result.memory is None else result.memory.unmeasured
     why = f" ({why})" if why else ""
     least = "" if not found.low else f"from {end_text(found.low)}, "

@@ -41,7 +41,7 @@ def plan_heading(plan: DataPlan) -> str:
 
 def _labels_row(plan: DataPlan, labels: LabelPlan, *, result: RunResult) -> tuple[str, str]:
     """Labels by band and what they show; where they cannot do, what the detector has to reach."""
-    halfway = ", halfway to the answer in powers of ten" if plan.halves else ""
+    halfway = ", on a logarithmic scale halfway to the answer" if plan.halves else ""
     better_at = [
         f"misses at most {band.required:.2g} at {z_text(band)}"
         for band in labels.bands

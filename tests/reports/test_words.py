@@ -97,7 +97,7 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
     bursts, help_ = burst_lines(EXPLANATION)
     assert bursts == (
         "Bursts (misses in a row) in a violation: 1.1; the decisive one: 15 frames (0.75 s) from "
-        "9.0 m on, probability 4.7e-10"
+        "9.0 m on, which has the probability 4.7e-10 by itself"
     )
     assert help_ == (
         "A memory 1 % shorter would bring 1.9 +- 0.03 % fewer violations; 1 % fewer misses, the "
@@ -150,7 +150,7 @@ def test_a_line_each_for_target_refits_and_memory(tmp_path, capsys):
     one = changed(reason=None)
     labels, refits, sequences = short_rows(one)
     assert labels[0] == "label 1,249 more at 5 to 7 m, 717 more at 7 to 13 m"
-    assert "under 2.5e-09, halfway to the answer" in labels[1]
+    assert "under 2.5e-09, on a logarithmic scale halfway to the answer" in labels[1]
     assert refits[0] == "label 1,290 more at 7 to 13 m"
     assert sequences[0] == "85 tracked sequences"
     print_summary(one, tmp_path)

@@ -53,7 +53,8 @@ def test_two_numbers_come_first_on_every_way_in():
         assert first in page
     lines = plain_lines(document.blocks("answer", brief=True))
     assert lines[1] == (
-        "To act on: at most 0.010 (from 1.0e-17), decided by memory of misses, as measured on video"
+        "To act on: at most 0.010, at least 1.0e-17, decided by memory of misses, as measured on "
+        "video"
     )
     assert lines[2].startswith(f"with the memory of {RRC} (0.25 s, frailty 0.68): 0.0080, 0.0064")
 
