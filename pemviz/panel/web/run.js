@@ -232,6 +232,7 @@ function Scene() {
 const reading = (value) => (Math.abs(value) < 1000 ? value.toPrecision(3) : value.toFixed(0)).replace("-", "\u2212");
 const number = (value) => (value == null ? "\u2013" : Math.abs(value) >= 0.01 && Math.abs(value) < 1000 || value === 0
   ? value.toFixed(3) : value.toPrecision(3)).replace("-", "\u2212");
+const part = (share) => (!share ? "" : share < 1e-4 ? "< 0.01 %" : `${(100 * share).toPrecision(2)} %`);
 
 function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
   const select = (key, options) => html`<select aria-label=${key} value=${choice[key]}
@@ -251,7 +252,7 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
       <tbody>${shown.map((row) => html`<tr key=${row.rank} aria-selected=${row.rank === rank} onClick=${() => pick(row.rank)}>
         <td class="n">${row.rank}</td><td class="n">${number(row.robustness)}</td>
         <td>${ruled ? (row.broken.length ? html`<span title=${row.broken.join(", ")}><b class="no">\u2716</b> ${row.broken.length > 1 ? `${row.broken.length} of ${run.rules.length - 1}` : row.broken[0]}</span>` : "none") : row.violated ? html`<b class="no">\u2716 yes</b>` : "no"}</td>
-        <td class="n">${row.share ? `${(100 * row.share).toPrecision(2)} %` : ""}</td><td class="n">${row.misses}</td>
+        <td class="n">${part(row.share)}</td><td class="n">${row.misses}</td>
         <td class="n">${number(row.log_weight)}</td><td class="n">${row.stage}</td></tr>`)}</tbody></table></div>
     ${rows?.count > 0 && html`<p class="quiet bar"><span>${start + 1} to ${Math.min(start + ROWS, rows.count)} of ${rows.count.toLocaleString("en")}${
         rows.among === "carrying" ? " that carry the answer" : ""}</span><span class="grow"></span>
