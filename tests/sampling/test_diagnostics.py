@@ -215,6 +215,9 @@ def test_a_count_is_reliable_however_few_were_counted(toy_problem):
     assert (kinds(none), none.failures) == (["no-failure"], 0)
     assert (kinds(few), 0 < few.failures < 10) == (["few-failures"], True)
     assert few.warnings == (f"only {few.failures} failures were seen: the interval is wide",)
+    (one,) = count_diagnostics(failures=1, rollouts=3_000, upper=0.1, confidence=0.95)
+    assert one.text == "only 1 failure was seen: the interval is wide"
+    assert classified((one.text,), few)[0].kind == "few-failures"
     assert interval_caveats(none) == interval_caveats(few) == ()
     assert none.ci_high is not None
 

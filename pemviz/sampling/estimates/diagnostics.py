@@ -58,9 +58,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="no failure was seen",
         worst=min,
     ),
-    "few-failures": Meaning(
-        phrase="failures were seen: the interval is wide", undermines=NOTHING, worst=min
-    ),
+    "few-failures": Meaning(phrase="seen: the interval is wide", undermines=NOTHING, worst=min),
     "large-weight": Meaning(
         phrase="one rollout carries",
         undermines=ALL_BUT_COUNTS,
@@ -177,7 +175,8 @@ def count_diagnostics(
         )
         return (Diagnostic("no-failure", 0.0, 1.0, text),)
     if failures < FEW_FAILURES:
-        text = f"only {failures} failures were seen: the interval is wide"
+        were = "failure was" if failures == 1 else "failures were"
+        text = f"only {failures} {were} seen: the interval is wide"
         return (Diagnostic("few-failures", float(failures), float(FEW_FAILURES), text),)
     return ()
 
