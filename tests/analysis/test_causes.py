@@ -205,7 +205,9 @@ def test_elasticity_is_the_derivative_of_the_binomial_tail(toy_problem):
 
 
 def test_a_run_explains_itself():
-    config = ExperimentConfig(method="naive", final_rollouts=200, target=1e-60)
+    config = ExperimentConfig(
+        method="naive", final_rollouts=200, target=1e-60, measured_memory=False
+    )
     result = run_experiment(config)
     assert result.explanation is not None
     document = result_document(result)

@@ -95,7 +95,9 @@ def test_repetitions_are_pooled_by_their_mean(scored):
 
 
 def test_the_default_scenario_is_told_to_extrapolate():
-    result = run_experiment(ExperimentConfig(method="naive", final_rollouts=50))
+    result = run_experiment(
+        ExperimentConfig(method="naive", final_rollouts=50, measured_memory=False)
+    )
     text = " ".join(result.warnings)
     assert "no training obstacle" in text
     assert "132 training obstacles" in text
@@ -107,7 +109,9 @@ def test_the_default_scenario_is_told_to_extrapolate():
 
 
 def test_the_reference_stands_beside_the_estimate():
-    result = run_experiment(ExperimentConfig(method="naive", final_rollouts=50, reference=True))
+    result = run_experiment(
+        ExperimentConfig(method="naive", final_rollouts=50, reference=True, measured_memory=False)
+    )
     assert result.reference is not None
     # exact recursion over the reachable states: log mu = -32.3785
     assert math.log(result.reference.probability) == pytest.approx(-32.3785, abs=0.002)

@@ -76,7 +76,12 @@ def test_a_run_tells_what_its_rollouts_have_and_keeps_it():
     """Plain rollouts weigh the same: the means are those of numpy."""
     kept = KeptStages()
     config = ExperimentConfig(
-        method="monte-carlo", final_rollouts=3000, memory_s=0.25, frailty=0.68, seed=3
+        method="monte-carlo",
+        final_rollouts=3000,
+        memory_s=0.25,
+        frailty=0.68,
+        seed=3,
+        measured_memory=False,
     )
     result = run_experiment(config, observers=[kept])
     (stage,) = kept.stages

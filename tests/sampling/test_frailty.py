@@ -246,7 +246,7 @@ def test_rollouts_do_not_depend_on_how_many_are_drawn_together():
 
 SHORT = ExperimentConfig(
     method="mixture", stages=2, rollouts=40, final_rollouts=60, memory_s=0.2, frailty=0.5, seed=3,
-    spec="always[0,59] (gap >= 6.0)", scenario=ScenarioConfig(states=60),
+    spec="always[0,59] (gap >= 6.0)", scenario=ScenarioConfig(states=60), measured_memory=False,
 )  # fmt: skip
 
 
@@ -273,7 +273,7 @@ def test_a_stopped_run_with_frailty_goes_on_to_the_same_bytes(tmp_path):
 
 
 def test_a_run_says_what_it_assumes_and_asks_refits_and_model_classes():
-    result = run_experiment(replace(SHORT, measured_memory=False))
+    result = run_experiment(SHORT)
     assert result.memory is not None
     assert (result.memory.tau_s, result.memory.frailty) == (0.2, 0.5)
     assert "frailty 0.5" in " ".join(result.assumptions)

@@ -143,7 +143,9 @@ def test_on_the_papers_scenario_it_is_that_of_the_dirty_and_the_clean_lens():
     Seeds are fixed; five joint standard errors, a false alarm in 1e6.
     """
     lens, pem = DirtyLens(share=0.01, drop=3.0), load_pem("ml-nn")
-    config = ExperimentConfig(method="zero-variance", seed=1, final_rollouts=500, plan=False)
+    config = ExperimentConfig(
+        method="zero-variance", seed=1, final_rollouts=500, plan=False, measured_memory=False
+    )
     dirty, clean = (
         run(build_experiment(config, pem=Lowered(pem, drop))).estimate for drop in (lens.drop, 0.0)
     )

@@ -34,7 +34,7 @@ FLAT = {"car": Flat(0.05), "ghost": Flat(0.95)}
 
 def experiment_of(simulator, spec=AT_END, *, pem=ERRS, cells=16, twin=None, **settings):
     settings = {"method": "zero-variance", "final_rollouts": 1_000, **settings}
-    config = pemviz.ExperimentConfig(spec=spec, plan=False, **settings)
+    config = pemviz.ExperimentConfig(spec=spec, plan=False, measured_memory=False, **settings)
     if twin is None:
         twin = simulator if start_cells(simulator) else quantised_start(simulator, cells=cells)
     return pemviz.build_experiment(config, simulator=simulator, pem=pem, twin=twin)

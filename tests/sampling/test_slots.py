@@ -53,7 +53,7 @@ CASES = {
 
 def experiment_of(case, **settings):
     simulator, pem, _, _, spec = CASES[case]
-    config = pemviz.ExperimentConfig(spec=spec, plan=False, **settings)
+    config = pemviz.ExperimentConfig(spec=spec, plan=False, measured_memory=False, **settings)
     return pemviz.build_experiment(config, simulator=simulator, pem=pem, twin=simulator)
 
 
@@ -115,7 +115,7 @@ def test_what_learns_nothing_knows_slots_too(method, spent):
     often = LinearModel(0.0, -0.1)
     cars = TwoCars(starts=(5, 6), largest=7, in_view=4, states=9)
     config = pemviz.ExperimentConfig(
-        method=method, spec=GAPS.format(last=8), seed=2, plan=False, **spent
+        method=method, spec=GAPS.format(last=8), seed=2, plan=False, measured_memory=False, **spent
     )
     found = pemviz.run(pemviz.build_experiment(config, simulator=cars, pem=often)).estimate
     exact = exact_probability(cars, [often] * 2, hit)
@@ -203,7 +203,11 @@ def test_causes_are_told_by_slot_and_step():
     """Against the probability of each error given a violation, from all joint outcomes."""
     cars = TwoCars(starts=(3, 3), largest=4, in_view=3, states=6)
     config = pemviz.ExperimentConfig(
-        method="zero-variance", spec=GAPS.format(last=5), final_rollouts=4_000, plan=False
+        method="zero-variance",
+        spec=GAPS.format(last=5),
+        final_rollouts=4_000,
+        plan=False,
+        measured_memory=False,
     )
     result = pemviz.run(pemviz.build_experiment(config, simulator=cars, pem=CAMERA, twin=cars))
     why = result.explanation

@@ -63,7 +63,9 @@ def truth(spec):
 
 
 def experiment(spec, simulator=WALK, **settings):
-    config = pemviz.ExperimentConfig(spec=spec, seed=4, plan=False, **settings)
+    config = pemviz.ExperimentConfig(
+        spec=spec, seed=4, plan=False, measured_memory=False, **settings
+    )
     return pemviz.build_experiment(config, simulator=simulator, pem=PEM, twin=simulator)
 
 

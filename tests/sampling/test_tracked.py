@@ -29,7 +29,7 @@ TRACKERS = {
 
 
 def experiment_of(simulator, *, pem=PEM, spec=SPEC, **settings):
-    config = pemviz.ExperimentConfig(spec=spec, plan=False, **settings)
+    config = pemviz.ExperimentConfig(spec=spec, plan=False, measured_memory=False, **settings)
     return pemviz.build_experiment(config, simulator=simulator, pem=pem, twin=simulator)
 
 

@@ -29,7 +29,7 @@ KALMAN = "2/3,coast=0.5,filter=kalman"
 def experiment_of(tracker, **settings):
     scenario = replace(COARSE, tracker=tracker)
     settings = {"method": "zero-variance", "spec": SPEC, "plan": False} | settings
-    return build_experiment(ExperimentConfig(scenario=scenario, **settings))
+    return build_experiment(ExperimentConfig(scenario=scenario, measured_memory=False, **settings))
 
 
 def by_chains(experiment):
@@ -79,7 +79,7 @@ def test_a_track_that_coasts_is_learned_with_few_rollouts():
     """
     scenario = replace(COARSE, dt_s=0.1, states=50, tracker="2/3,coast=0.5")
     settings = {"scenario": scenario, "spec": "always[0,49] (gap >= 2.0)", "plan": False}
-    config = ExperimentConfig(**settings, method="zero-variance")
+    config = ExperimentConfig(**settings, method="zero-variance", measured_memory=False)
     by_recursion = build_experiment(config)
     truth = math.exp(exact_log_probability(by_recursion.problem, twin=by_recursion.twin))
     budget = {"rollouts": 50, "stages": 6, "final_rollouts": 200, "seed": 1}
