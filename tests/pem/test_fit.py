@@ -107,10 +107,11 @@ def test_normalisation_comes_from_the_table_alone(table):
     assert pem.pose_mean[2] == pytest.approx(far.salient[:, 9].mean(), rel=1e-12)
 
 
-def test_a_table_with_one_outcome_is_refused(table):
+@pytest.mark.parametrize("model", ["guess-mu", "lr", "ml-nn", "gb-paper", "gb-raw"])
+def test_a_table_with_one_outcome_is_refused(table, model):
     rows = np.flatnonzero(table.detected)
     with pytest.raises(PemError, match=r"all .* obstacles were detected"):
-        fit_pem(table.take(rows), model="lr")
+        fit_pem(table.take(rows), model=model)
 
 
 def test_an_unknown_model_and_too_few_members_are_refused(table):

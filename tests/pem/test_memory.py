@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from functools import partial
 from statistics import NormalDist
 
@@ -289,6 +290,18 @@ def test_boosted_trees_are_calibrated_by_the_other_parts():
         line = minimize(loss, (1.0, 0.0), args=(raw[others], table.detected[others])).x
         assert line[0] > 0.0
         np.testing.assert_allclose(found[held_out], line[0] * raw[held_out] + line[1], atol=1e-3)
+
+
+@pytest.mark.parametrize("model", ["guess-mu", "lr", "ml-nn", "gb-raw"])
+def test_misses_of_one_sequence_alone_are_refused(model):
+    table, _ = draw_tracks(seed=2, tau_s=0.2, frailty=0.0, sequences=6, tracks_each=8)
+    alone = table.obstacles.detected | (table.sequence != 0)
+    obstacles = replace(table.obstacles, detected=alone)
+    with pytest.raises(PemError, match="all that was missed lies in one of 3 parts"):
+        cross_fit(replace(table, obstacles=obstacles), model=model, folds=3)
+    obstacles = replace(table.obstacles, detected=np.ones_like(alone))
+    with pytest.raises(PemError, match="all 960 obstacles were detected"):
+        cross_fit(replace(table, obstacles=obstacles), model=model, folds=3)
 
 
 def test_a_report_holds_what_a_card_shows():

@@ -52,6 +52,16 @@ class SalientTable:
         digest.update(self.detected.astype(np.uint8).tobytes())
         return digest.hexdigest()
 
+    def check_outcomes(self) -> None:
+        """Whether some were detected and some missed, without which no model has finite logits.
+
+        Raises:
+            PemError: All have the same outcome.
+        """
+        if self.detected.all() or not self.detected.any():
+            outcome = "detected" if self.detected.all() else "missed"
+            raise PemError(f"{self.source}: all {len(self)} obstacles were {outcome}")
+
     def take(self, rows: IntArray) -> "SalientTable":
         """The table of the given rows, in that order, repeats allowed."""
         sequence = None if self.sequence is None else self.sequence[rows]

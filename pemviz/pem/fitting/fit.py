@@ -137,6 +137,7 @@ def _fit(
     calibrate: bool,
     on_progress: Progress | None,
 ) -> SingleModel | EnsemblePem:
+    table.check_outcomes()
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
     if model in ("ml-nn", "b-nn"):
         from pemviz.pem.fitting import networks  # noqa: PLC0415

@@ -15,7 +15,6 @@ from sklearn.model_selection import GroupKFold, StratifiedKFold
 from threadpoolctl import threadpool_limits
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.models.cards import PemCard
 from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem, paper_inputs, pose_statistics
@@ -36,12 +35,7 @@ MOST_UNEVEN = 30
 
 
 def fit_guess_mu(table: SalientTable, *, card: PemCard) -> NetworkPem:
-    """A model that answers with the training data's share of detected obstacles.
-
-    Raises:
-        PemError: all obstacles have the same outcome, so that the logit is infinite.
-    """
-    _require_both_outcomes(table)
+    """A model that answers with the training data's share of detected obstacles."""
     share = float(table.detected.mean())
     pose_mean, pose_std = pose_statistics(table.salient)
     layer = Layer(
@@ -51,12 +45,7 @@ def fit_guess_mu(table: SalientTable, *, card: PemCard) -> NetworkPem:
 
 
 def fit_logistic(table: SalientTable, *, card: PemCard) -> NetworkPem:
-    """Logistic regression on the paper's inputs.
-
-    Raises:
-        PemError: all obstacles have the same outcome.
-    """
-    _require_both_outcomes(table)
+    """Logistic regression on the paper's inputs."""
     pose_mean, pose_std = pose_statistics(table.salient)
     inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
     regression = LogisticRegression(max_iter=10_000).fit(inputs, table.detected)
@@ -65,12 +54,6 @@ def fit_logistic(table: SalientTable, *, card: PemCard) -> NetworkPem:
         bias=np.asarray(regression.intercept_, dtype=np.float64),
     )
     return NetworkPem(card, pose_mean, pose_std, (layer,))
-
-
-def _require_both_outcomes(table: SalientTable) -> None:
-    if table.detected.all() or not table.detected.any():
-        outcome = "detected" if table.detected.all() else "missed"
-        raise PemError(f"{table.source}: all {len(table)} obstacles were {outcome}")
 
 
 def trees_recipe(feature_set: FeatureSet, *, by_sequence: bool, calibrated: bool) -> str:

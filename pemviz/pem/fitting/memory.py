@@ -202,14 +202,12 @@ def _tracks_log_likelihood(
         log_weight = log_weight - np.log(np.exp(log_weight).sum())
         for index, tau_s in enumerate(taus_s):
             rho = persistence(since_s, float(tau_s))
-            np.multiply(own, (1.0 - rho)[:, None], out=after)
+            anew = 1.0 - rho
+            np.multiply(own, anew[:, None], out=after)
             after += (rho * repeats)[:, None]
-            if least * (1.0 - rho).min() < SMALLEST:
+            if least * anew.min() < SMALLEST:
                 np.maximum(after, SMALLEST, out=after)
-            block_p = after[::BLOCK_ROWS].copy()
-            for place in range(1, BLOCK_ROWS):  # many times faster than multiply.reduceat
-                block_p *= after[place::BLOCK_ROWS]
-            log_block = np.log(block_p)
+            log_block = np.log(after.reshape(-1, BLOCK_ROWS, nodes.size).prod(axis=1))
             log_track = np.add.reduceat(log_block, of_track, axis=0)
             joint = log_track + log_weight
             largest = joint.max(axis=1, keepdims=True)

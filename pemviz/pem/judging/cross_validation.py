@@ -155,6 +155,7 @@ def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntA
     # slow to import
     from sklearn.model_selection import GroupKFold, StratifiedKFold  # noqa: PLC0415
 
+    table.check_outcomes()
     sequence = kept_whole(table)
     if sequence is not None:
         sequences = int(np.unique(sequence).size)

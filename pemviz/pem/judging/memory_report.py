@@ -312,6 +312,12 @@ def cross_fit(
     if not 2 <= folds <= sequences:
         raise PemError(f"folds is {folds}, allowed: 2 to the number of sequences, {sequences}")
     parts = list(GroupKFold(folds).split(tracks.sequence, groups=tracks.sequence))
+    for rest, _ in parts:
+        if np.unique(tracks.detected[rest]).size == 1:
+            tracks.obstacles.check_outcomes()
+            outcome = "missed" if tracks.detected[rest[0]] else "detected"
+            where = f"lies in one of {folds} parts of the sequences"
+            raise PemError(f"all that was {outcome} {where}: there is nothing to fit the others to")
     obstacles = tracks.obstacles
     part = partial(fit_pem, model=model, seed=seed, calibrate=False)
     tasks = [_Task(part, obstacles, *rows) for rows in parts]
