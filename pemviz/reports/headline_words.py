@@ -108,16 +108,13 @@ def range_words(found: OpenRange, result: RunResult) -> tuple[str, str]:
     source = found.decided_by
     if source.kind == "sampling" and source.note:
         return f"{ACT_ON}nothing yet", f"the sampling does not hold: {source.note}"
+    least = f", at least {end_text(found.low)}" if found.low else ""
     if found.high is not None:
-        least = f", at least {end_text(found.low)}" if found.low else ""
         return f"{ACT_ON}at most {end_text(found.high)}{least}", f"{DECIDED_BY}{source.name}"
     why = "" if result.memory is None else result.memory.unmeasured
     why = f" ({why})" if why else ""
-    least = "" if not found.low else f"from {end_text(found.low)}, "
-    return (
-        f"{ACT_ON}{least}{UNBOUNDED}",
-        f"{DECIDED_BY}{source.name}, {NOT_LOOKED_AT}{why}",
-    )
+    ends = f"{least}, {UNBOUNDED}".removeprefix(", ")
+    return f"{ACT_ON}{ends}", f"{DECIDED_BY}{source.name}, {NOT_LOOKED_AT}{why}"
 
 
 def measured_text(one: MeasuredAnswer) -> str:

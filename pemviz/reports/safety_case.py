@@ -17,7 +17,7 @@ from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.charts import gap_chart, miss_chart, runs_chart
 from pemviz.reports.document import Block, Document, Paragraph, Section, Table, facts, figure
 from pemviz.reports.escape import printable_lines
-from pemviz.reports.estimate_words import interval_text, probability_text, range_text
+from pemviz.reports.estimate_words import end_text, interval_text, probability_text, range_text
 from pemviz.reports.run_document import run_document, scenario_text
 from pemviz.runs.reading import setting_differences
 from pemviz.runs.result import RunResult
@@ -184,7 +184,7 @@ class Claim:
     @property
     def bound_text(self) -> str:
         """The bound in words."""
-        return "not known" if self.bound is None else f"{self.bound:.2g}"
+        return "not known" if self.bound is None else end_text(self.bound)
 
 
 def claims(result: RunResult, *, below: float | None) -> list[Claim]:
@@ -219,7 +219,7 @@ def claim_sentence(result: RunResult, *, below: float | None) -> str:
         return (
             "No failure probability was named to be claimed. What holds under the least that is "
             f"taken for granted here: {_claimed(result)} with a probability below "
-            f"{last.bound:.2g}, if {last.granted}."
+            f"{last.bound_text}, if {last.granted}."
         )
     parts = [f"To be claimed: {_claimed(result)} with a probability below {below:g}."]
     for verdict in ("shown", "not shown", "not known"):

@@ -171,7 +171,7 @@ def _model_classes(result: RunResult) -> UncertaintySource:
         low=ranked[0].probability,
         high=ranked[-1].probability,
         note=f"{', '.join(vague)} only roughly" if vague else "",
-        narrowed_by="labels where they part",
+        narrowed_by="labels where they disagree",
     )
 
 

@@ -64,7 +64,9 @@ def test_where_nobody_looked_it_is_not_known_and_why():
     run = result(estimate=estimate(method="mixture", diagnostics=()), reference=None, memory=memory)
     lines = plain_lines(run_document(run).blocks("answer", brief=True))
     assert "if misses are independent, not known with a memory, if error model" in lines[0]
-    assert lines[1].startswith("To act on: from 1.0e-17, how high is not known, decided by memory")
+    assert lines[1].startswith(
+        "To act on: at least 1.0e-17, how high is not known, decided by memory"
+    )
     assert lines[1].endswith("not looked at (not with several slots)")
     assert sum("several slots" in line for line in lines) == 1
 
