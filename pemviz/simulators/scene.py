@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.types import StateBatch
 
@@ -110,6 +112,11 @@ class SceneStates:
     present: BoolArray
     collided: BoolArray
     impact_speed_mps: FloatArray | None = None
+
+    @property
+    def of_cars(self) -> FloatArray:
+        """Each car's x, y [m], heading [rad] and speed [m/s], ``[..., C, 4]``."""
+        return np.stack([self.x_m, self.y_m, self.heading_rad, self.speed_mps], axis=-1)
 
 
 @dataclass(frozen=True)

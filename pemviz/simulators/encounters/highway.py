@@ -1,109 +1,48 @@
-"""Encounters of a logical scenario on highway-env, and films of them.
+"""Encounters of a logical scenario with their cars in highway-env, and films of any.
 
-highway-env itself is imported when the first scene is built, not with this module.
+highway-env itself is imported when the first road is built, not with this module.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 from threading import get_ident
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.config import EncounterConfig, StartChoice
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config import EncounterConfig
 from pemviz.errors import ConfigError
 from pemviz.simulators.encounters.scenario import LogicalScenario
-from pemviz.simulators.encounters.single_encounter import measured_place
-from pemviz.types import StateBatch
+from pemviz.simulators.encounters.vectorized import Left, Moved, VectorizedEncounters
+from pemviz.simulators.latents import begun
 
 if TYPE_CHECKING:
-    from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv
+    from pemviz.simulators.encounters.highway_env_encounters import CarsOnRoad
 
-SCENES_KEPT = 8
-NUMBER = "environment_"
+ROADS_KEPT = 8
 
 
 @dataclass(frozen=True)
-class HighwayEncounters(LogicalScenario):
-    """Each rollout of a batch in turn is loaded into a highway-env scene, stepped, read back."""
+class HighwayEncounters(VectorizedEncounters):
+    """The cars of each rollout in turn are put on a road of highway-env, which moves them."""
 
     @property
     def name(self) -> str:
         """Back end's name."""
         return "highway-env"
 
-    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
-        """The states s_0, arrays ``[count]``, for standard normals ``[count, S]`` or medians."""
-        given = np.zeros((count, self.latents.start)) if start is None else start
-        scene, rows = self._scene, list[list[float]]()
-        for normals in given[:, : self.random_values]:
-            scene.begin(normals)
-            rows.append([*scene.numbers(), *scene.signals.values().values()])
-        tracks: dict[str, AnyArray] = {}
-        if self.tracker is not None:
-            tracks = self.tracker.memory(self.tracker.start(count, slots=len(self.slots)))
-        return self._states(rows, step=0, kept={**tracks, **self.noise_begun(given)})
-
-    def step(
-        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
-    ) -> StateBatch:
-        """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
-        hits = np.asarray(detected, dtype=np.bool_) & self.sight_at(states).present
-        numbers = [name for name in states.memory if name.startswith(NUMBER)]
-        table = np.stack([states.memory[name] for name in numbers], axis=-1).tolist()
-        noises = {} if self.noise is None else self.noise.renewed(states, noise)
-        reported, kept = self._reported(states, hits, self._places_m(states, noises))
-        scene, rows = self._scene, list[list[float]]()
-        for row, before in enumerate(table):
-            scene.load(before)
-            scene.move(hits[row], *(None if one is None else one[row] for one in reported))
-            rows.append([*scene.numbers(), *scene.signals.values().values()])
-        return self._states(rows, step=int(states.step) + 1, kept={**kept, **noises})
-
-    @property
-    def _scene(self) -> "EncounterEnv":
-        return _scene(self.config, self.chosen, self.tracker_text, get_ident())
-
-    def _places_m(self, states: StateBatch, noises: Mapping[str, AnyArray]) -> FloatArray:
-        """Gaps and offsets as perception measures them, ``[N, K, 2]``."""
-        true = [
-            np.stack([states.signals[f"{what}_{name}"] for name in self.reported_names], axis=-1)
-            for what in ("gap", "aside")
-        ]
-        true_m = np.stack(true, axis=-1)
-        if not noises:
-            return true_m
-        errors_m = self.errors_m(self.sight_at(states).salient, noises)
-        pairs = zip(true_m.reshape(-1, 2).tolist(), errors_m.reshape(-1, 2).tolist(), strict=True)
-        places = [measured_place(self.config, *place, *error) for place, error in pairs]
-        return np.array(places, dtype=np.float64).reshape(true_m.shape)
-
-    def _reported(
-        self, states: StateBatch, hits: BoolArray, places_m: FloatArray
-    ) -> tuple[Sequence[AnyArray | None], dict[str, AnyArray]]:
-        """Which tracks there are, where, and how fast, ``[N, K, ...]``; and what states keep."""
-        tracker = self.tracker
-        if tracker is None:
-            return (None, places_m, None), {}
-        before = tracker.state(states.memory, slots=len(self.slots))
-        tracks = tracker.update(before, hits, places_m)
-        speeds = tracks.speed_mps if tracker.has_speeds else None
-        return (tracks.confirmed, tracks.position_m, speeds), tracker.memory(tracks)
-
-    def _states(
-        self, rows: list[list[float]], *, step: int, kept: Mapping[str, AnyArray]
-    ) -> StateBatch:
-        count = len(self.signals)
-        table = np.array(rows, dtype=np.float64).reshape(len(rows), -1).T
-        numbers, values = table[:-count], table[-count:]
-        signals = {signal.name: row for signal, row in zip(self.signals, values, strict=True)}
-        memory = {f"{NUMBER}{place}": row for place, row in enumerate(numbers)}
-        return StateBatch(
-            step=np.array(step, dtype=np.int64), signals=signals, memory={**memory, **kept}
-        )
+    def _driven(self, left: Left) -> tuple[Left, Moved]:
+        """What is done in the step, and where all cars then are if none touches another."""
+        road = _road(self.config, len(self.cars), get_ident())
+        places = self.scene(left.states.signals).of_cars
+        does_mps2 = np.concatenate([left.ego_mps2[None], -left.others_mps2]).T
+        after = [road.moved(*one) for one in zip(places, does_mps2, strict=True)]
+        x_m, y_m, speed_mps = np.array(after).reshape(len(after), len(self.cars) + 1, 3).T
+        return left, Moved(x_m[0], speed_mps[0], x_m[1:], y_m[1:], speed_mps[1:])
 
 
 def encounter_frames(
@@ -124,28 +63,19 @@ def encounter_frames(
         which = simulator.config.logical_scenario
         message = f"film of {which}: must be of encounters without position errors"
         raise ConfigError(message)
-    environment = EncounterEnv(
-        simulator.config, simulator.chosen, simulator.tracker_text, render_mode="rgb_array"
-    )
+    environment = EncounterEnv(simulator.config, simulator.chosen, render_mode="rgb_array")
+    first = begun(simulator, count=1, start=None if start is None else start[None])
     try:
-        if start is not None:
-            environment.begin(start)
-        yield environment.render()
-        for outcomes in detected:
-            environment.advance(outcomes)
+        for states in accumulate(detected[:, None], simulator.step, initial=first):
+            environment.show(states)
             yield environment.render()
     finally:
         environment.close()
 
 
-@lru_cache(maxsize=SCENES_KEPT)
-def _scene(
-    config: EncounterConfig,
-    chosen: tuple[StartChoice, ...],
-    tracker: str,
-    thread: int,  # noqa: ARG001
-) -> "EncounterEnv":
-    """A scene to work in. Its content outlives no call, so sharing is safe within a thread."""
-    from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
+@lru_cache(maxsize=ROADS_KEPT)
+def _road(config: EncounterConfig, others: int, thread: int) -> "CarsOnRoad":  # noqa: ARG001
+    """A road to work on. Its content outlives no call, so sharing is safe within a thread."""
+    from pemviz.simulators.encounters.highway_env_encounters import CarsOnRoad  # noqa: PLC0415  pygame
 
-    return EncounterEnv(config, chosen, tracker)
+    return CarsOnRoad(config, others)

@@ -4,11 +4,8 @@ Importing it registers the environments with gymnasium::
 
     import pemviz.simulators.encounters.highway_env_encounters
     gymnasium.make("pemviz-cut-in-v0", render_mode="rgb_array")
-
-How an encounter begins and what is measured is in ``single_encounter.py``: one encounter, no batch.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,13 +27,8 @@ from pemviz.simulators.braking.highway_env_scenario import (
     ScriptedCar,
     ScriptedEnv,
 )
-from pemviz.simulators.encounters import ego
-from pemviz.simulators.encounters.single_encounter import (
-    Place,
-    Signals,
-    courses,
-)
-from pemviz.simulators.encounters.vectorized import VectorizedEncounters, first_touch
+from pemviz.simulators.encounters.highway import HighwayEncounters
+from pemviz.types import StateBatch
 
 ENCOUNTERS = {
     "pemviz-braking-encounter-v0": EncounterConfig(logical_scenario="braking"),
@@ -44,23 +36,36 @@ ENCOUNTERS = {
     "pemviz-cut-out-v0": EncounterConfig(logical_scenario="cut-out"),
 }
 """By the environment's id."""
-SINE_LIMIT = 0.3
 LARGEST = 1e6
 
 
-class EncounterCar(ScriptedCar):
-    """A car that can be put into a place."""
+class CarsOnRoad:
+    """The ego and the other cars of an encounter, the ego first; highway-env's y grows right."""
 
-    @property
-    def place(self) -> Place:
-        """Where it is; highway-env's y grows to the right."""
-        x_m, y_m = self.position.tolist()
-        return Place(x_m, -y_m, float(self.speed), -float(self.heading))
+    def __init__(self, config: EncounterConfig, others: int) -> None:
+        """Put them on three lanes, as long as an encounter can need."""
+        self.dt_s, self.road = config.dt_s, _road(config)
+        size = {"length_m": config.car_length_m, "width_m": config.car_width_m}
+        colors = (EGO_RGB, *(LEAD_RGB for _ in range(others)))
+        self.cars = [ScriptedCar(self.road, **size, color=color) for color in colors]
+        self.road.vehicles = list[Vehicle](self.cars)
 
-    @place.setter
-    def place(self, place: Place) -> None:
-        self.position = np.array([place.x_m, -place.y_m])
-        self.speed, self.heading = place.speed_mps, -place.heading_rad
+    def put(self, places: FloatArray) -> None:
+        """Put all cars into places ``[C, 4]``; see :attr:`SceneStates.of_cars`."""
+        for car, (x_m, y_m, heading_rad, speed_mps) in zip(self.cars, places.tolist(), strict=True):
+            car.position = np.array([x_m, -y_m])
+            car.heading, car.speed = -heading_rad, speed_mps
+
+    def moved(self, places: FloatArray, does_mps2: FloatArray) -> list[tuple[float, float, float]]:
+        """Places x and y [m] and speeds [m/s], a step after places ``[C, 4]``.
+
+        All cars keep accelerations ``[C]``.
+        """
+        self.put(places)
+        for car, acceleration_mps2 in zip(self.cars, does_mps2.tolist(), strict=True):
+            car.accelerate(acceleration_mps2)
+        self.road.step(self.dt_s)
+        return [(car.position[0], -car.position[1], car.speed) for car in self.cars]
 
 
 class SignalsObservation(ObservationType):
@@ -74,7 +79,8 @@ class SignalsObservation(ObservationType):
 
     def observe(self) -> FloatArray:
         """The current values."""
-        return np.array(list(self.env.signals.values().values()))
+        signals = self.env.states.signals
+        return np.concatenate([signals[signal.name] for signal in self.env.scenario.signals])
 
 
 class PerceptionOutcomes(ActionType):
@@ -84,7 +90,7 @@ class PerceptionOutcomes(ActionType):
 
     def space(self) -> spaces.MultiBinary:
         """An outcome for each, and for the ghost."""
-        return spaces.MultiBinary(len(self.env.closing_mps))
+        return spaces.MultiBinary(len(self.env.scenario.slots))
 
     def act(self, action: Any) -> None:
         """Nothing: the environment tells the ego as it moves on."""
@@ -108,16 +114,13 @@ class EncounterEnv(ScriptedEnv):
             tracker: As ``ScenarioConfig.tracker``.
             render_mode: ``rgb_array`` to render frames ``[160, 640, 3]`` without a display.
         """
-        self.encounter = encounter
-        self.scenario = VectorizedEncounters(encounter, tuple(chosen), tracker)
-        self.tracker, self.start = self.scenario.tracker, np.zeros(self.scenario.latents.start)
-        self.empty_road = _road(encounter)
+        self.scenario = HighwayEncounters(encounter, tuple(chosen), tracker)
+        self.start = np.zeros(self.scenario.latents.start)
+        self.on_road = CarsOnRoad(encounter, len(self.scenario.cars))
         super().__init__(encounter, shown_m=encounter.farthest_m, render_mode=render_mode)
 
     def define_spaces(self) -> None:
         """Set our own observation and action types."""
-        if not hasattr(self, "courses"):
-            self.begin(self.start)
         self.set_spaces(SignalsObservation(self), PerceptionOutcomes(self))
 
     def reset(
@@ -136,155 +139,24 @@ class EncounterEnv(ScriptedEnv):
         return super().reset()
 
     def _reset(self) -> None:
-        self.begin(self.start)
+        self.road, self.controlled_vehicles = self.on_road.road, self.on_road.cars[:1]
+        self.show(self.scenario.initial(count=1, start=self.start[None]))
 
-    def begin(self, start: FloatArray) -> None:
-        """Put all cars at the start for standard normals ``[S]``."""
-        values = self.scenario.start_values(start[None])
-        self.values = {name: float(of_one[0]) for name, of_one in values.items()}
-        self.courses = courses(self.encounter, self.values)
-        self.set_speed_mps = max(self.values["ego_speed"], 0.0)
-        self.road = self.empty_road
-        size = {"length_m": self.encounter.car_length_m, "width_m": self.encounter.car_width_m}
-        self.ego = EncounterCar(self.road, **size, color=EGO_RGB)
-        self.others = [EncounterCar(self.road, **size, color=LEAD_RGB) for _ in self.courses]
-        self.cars = (self.ego, *self.others)
-        self.road.vehicles = list[Vehicle](self.cars)
-        self.controlled_vehicles = [self.ego]
-        self.steps = 0
-        self.ego.place = Place(0.0, 0.0, self.set_speed_mps, 0.0)
-        for car, course in zip(self.others, self.courses, strict=True):
-            car.place = course.start
-        self._head()
-        self.signals = Signals(self.encounter, self.courses, self.values)
-        self.signals.begin(self.ego.place, self.places)
-        self.closing_mps = [0.0] * len(self.signals.reported_offsets)
-        if self.tracker is not None:
-            self.tracks = self.tracker.start(1, slots=len(self.closing_mps))
-
-    @property
-    def places(self) -> list[Place]:
-        """Where the other cars are."""
-        return [car.place for car in self.others]
+    def show(self, states: StateBatch) -> None:
+        """Be in the state of one rollout of a back end, ``[1]``."""
+        self.states, self.steps = states, int(states.step)
+        self.on_road.put(self.scenario.scene(states.signals).of_cars[0])
 
     def present(self) -> BoolArray:
         """Whether each is to be seen, or the ghost may appear, ``[K]``."""
-        signals = {name: np.array([value]) for name, value in self.signals.values().items()}
-        return self.scenario.present(signals)[0]
-
-    def numbers(self) -> list[float]:
-        """All that the future depends on beside tracks and outcomes; see :meth:`load`."""
-        places = [number for car in self.cars for number in car.place]
-        values = list(self.values.values())
-        return [float(self.steps), *values, *places, *self.closing_mps, *self.signals.numbers()]
-
-    def load(self, numbers: Sequence[float]) -> None:
-        """Put the scene into a state that :meth:`numbers` gave; its tracks stay."""
-        rest = iter(numbers)
-        self.steps = int(next(rest))
-        self.values = {name: next(rest) for name in self.values}
-        self.courses = courses(self.encounter, self.values)
-        self.set_speed_mps = max(self.values["ego_speed"], 0.0)
-        for car in self.cars:
-            car.place = Place(*(next(rest) for _ in Place._fields))
-        self.closing_mps = [next(rest) for _ in self.closing_mps]
-        self.signals.load(list(rest), self.courses, self.values)
-        self.signals.look(self.ego.place, self.places)
+        return self.scenario.present(self.states.signals)[0]
 
     def advance(self, detected: BoolArray) -> None:
         """Move one time step on for outcomes ``[K]``, without the costs of observing."""
-        hits = np.asarray(detected, dtype=np.bool_) & self.present()
-        if self.tracker is None:
-            self.move(hits)
-            return
-        measured = [self.signals.reported_offsets]
-        self.tracks = self.tracker.update(self.tracks, hits[None], np.array(measured))
-        speeds_mps = self.tracks.speed_mps[0] if self.tracker.has_speeds else None
-        self.move(hits, self.tracks.confirmed[0], self.tracks.position_m[0], speeds_mps)
-
-    def move(
-        self,
-        hits: BoolArray,
-        tracked: BoolArray | None = None,
-        position_m: FloatArray | None = None,
-        speed_mps: FloatArray | None = None,
-    ) -> None:
-        """Move one time step on, with the ego told of hits, or of tracks.
-
-        Args:
-            hits: Slots that are present and reported ``[K]``.
-            tracked: Of which the ego is told ``[K]``; ``None``: of the hits.
-            position_m: Gaps and offsets of the tracks, or as measured, ``[K, 2]``; ``None``: as
-                they are.
-            speed_mps: How they change, where a filter knows it, ``[K, 2]``.
-        """
-        config, ego_mps = self.encounter, self.ego.place.speed_mps
-        places_m = np.array(self.signals.reported_offsets) if position_m is None else position_m
-        along_mps = [place.along_mps for place in self.places]
-        along_mps += [0.0] * (len(places_m) - len(along_mps))
-        self.closing_mps = [
-            ego_mps - along if hit else held
-            for hit, along, held in zip(hits, along_mps, self.closing_mps, strict=True)
-        ]
-        closing_mps = np.array(self.closing_mps) if speed_mps is None else -speed_mps[:, 0]
-        there = hits if tracked is None else tracked
-        gap_m, aside_m = places_m[:, :1], places_m[:, 1:]
-        wanted_mps2 = ego.acceleration(
-            config,
-            ego.Reported(there[:, None], gap_m, aside_m, closing_mps[:, None]),
-            ego_mps=np.array([ego_mps]),
-            set_mps=np.array([self.set_speed_mps]),
-        )
-        self._step(0.0 if self.signals.collided else float(wanted_mps2[0]))
-
-    def _step(self, ego_mps2: float) -> None:
-        dt_s, before = self.encounter.dt_s, [car.place for car in self.cars]
-        others = [course.acceleration(self.steps * dt_s) for course in self.courses]
-        for car, one in zip(self.cars, (ego_mps2, *others), strict=True):
-            car.accelerate(one)
-        self.signals.leave(ego_mps2, [-one for one in others])
-        self.road.step(dt_s)
-        if self.signals.touched is None:
-            self._touch(before)
-        else:  # they stand
-            for number in (0, self.signals.touched + 1):
-                self.cars[number].place = before[number]
-        self.steps += 1
-        self._head()
-        self.signals.arrive(self.ego.place, self.places, self.steps)
-
-    def _touch(self, before: Sequence[Place]) -> None:
-        """Stop the ego and the car that it touches first over the step, if any."""
-        after = [car.place for car in self.cars]
-        first_m, last_m = (
-            np.array([(car.x_m - places[0].x_m, car.y_m - places[0].y_m) for car in places[1:]]).T
-            for places in (before, after)
-        )
-        reach_m = (self.encounter.car_length_m, self.encounter.car_width_m)
-        shares = first_touch((first_m[0], first_m[1]), (last_m[0], last_m[1]), reach_m=reach_m)
-        car, share = int(shares.argmin()), float(shares.min())
-        if share > 1.0:
-            return
-        moved_m = (last_m - first_m)[:, car].tolist()
-        self.signals.touch(car, math.hypot(*moved_m) / self.encounter.dt_s)
-        for number in (0, car + 1):
-            begin, end = before[number], after[number]
-            x_m = begin.x_m + share * (end.x_m - begin.x_m)
-            y_m = begin.y_m + share * (end.y_m - begin.y_m)
-            self.cars[number].place = Place(x_m, y_m, 0.0, begin.heading_rad)
-
-    def _head(self) -> None:
-        """Turn the cars to where their profiles have them at the next state."""
-        dt_s = self.encounter.dt_s
-        for car, course in zip(self.others, self.courses, strict=True):
-            place = car.place
-            if place.speed_mps > 0.0:
-                aside_m = course.profile((self.steps + 1) * dt_s) - place.y_m
-                sine = min(max(aside_m / (place.speed_mps * dt_s), -SINE_LIMIT), SINE_LIMIT)
-                car.place = place._replace(heading_rad=math.asin(sine))
+        self.show(self.scenario.step(self.states, np.asarray(detected, dtype=np.bool_)[None]))
 
     def _simulate(self, action: Any = None) -> None:
-        self.advance(np.asarray(action, dtype=np.bool_))
+        self.advance(action)
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002
         return {"present": self.present()}

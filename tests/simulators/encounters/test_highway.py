@@ -1,4 +1,4 @@
-"""highway-env's encounters, written from the specification alone, are the vectorized ones."""
+"""Cars that highway-env moves are where the vectorized ones are."""
 
 import gymnasium
 import numpy as np
@@ -106,7 +106,7 @@ def test_a_start_value_can_be_fixed() -> None:
     chosen = (StartChoice("gap", "33"),)
     environment = EncounterEnv(EncounterConfig(logical_scenario="braking"), chosen)
     environment.reset(seed=3)
-    assert environment.signals.values()["gap_lead"] == pytest.approx(33.0)
+    assert environment.states.signals["gap_lead"][0] == pytest.approx(33.0)
     assert len(environment.start) == 4
 
 
