@@ -59,7 +59,9 @@ def _frames(
     if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
         yield from frames(config.scenario, detected=track.outcomes)
         return
-    from pemviz.simulators.encounters.highway import encounter_frames  # noqa: PLC0415  likewise
+    from pemviz.simulators.encounters.highway_env_encounters import (  # noqa: PLC0415  likewise
+        encounter_frames,
+    )
     from pemviz.simulators.encounters.scenario import LogicalScenario  # noqa: PLC0415
 
     logical_scenario, drawn = drawn_scene(simulator), track.drawn

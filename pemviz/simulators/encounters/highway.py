@@ -1,27 +1,20 @@
-"""Encounters of a logical scenario with their cars in highway-env, and films of any.
+"""Encounters of a logical scenario with their cars in highway-env.
 
 highway-env itself is imported when the first road is built, not with this module.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 from threading import get_ident
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig
-from pemviz.errors import ConfigError
-from pemviz.simulators.encounters.scenario import LogicalScenario
 from pemviz.simulators.encounters.vectorized import Left, Moved, VectorizedEncounters
-from pemviz.simulators.latents import begun
 
 if TYPE_CHECKING:
-    from pemviz.simulators.encounters.highway_env_encounters import CarsOnRoad
+    from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad
 
 ROADS_KEPT = 8
 
@@ -45,37 +38,9 @@ class HighwayEncounters(VectorizedEncounters):
         return left, Moved(x_m[0], speed_mps[0], x_m[1:], y_m[1:], speed_mps[1:])
 
 
-def encounter_frames(
-    simulator: LogicalScenario, *, detected: BoolArray, start: FloatArray | None = None
-) -> Iterator[NDArray[np.uint8]]:
-    """Film a rollout with outcomes ``[T-1, K]`` and start ``[S]`` or medians; needs no display.
-
-    Raises:
-        ConfigError: It measures with errors, whose noise no film is told of.
-
-    Returns:
-        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, its left side on
-        top, the ego blue.
-    """
-    from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv  # noqa: PLC0415  pygame
-
-    if simulator.errors is not None:
-        which = simulator.config.logical_scenario
-        message = f"film of {which}: must be of encounters without position errors"
-        raise ConfigError(message)
-    environment = EncounterEnv(simulator.config, simulator.chosen, render_mode="rgb_array")
-    first = begun(simulator, count=1, start=None if start is None else start[None])
-    try:
-        for states in accumulate(detected[:, None], simulator.step, initial=first):
-            environment.show(states)
-            yield environment.render()
-    finally:
-        environment.close()
-
-
 @lru_cache(maxsize=ROADS_KEPT)
 def _road(config: EncounterConfig, others: int, thread: int) -> "CarsOnRoad":  # noqa: ARG001
     """A road to work on. Its content outlives no call, so sharing is safe within a thread."""
-    from pemviz.simulators.encounters.highway_env_encounters import CarsOnRoad  # noqa: PLC0415  pygame
+    from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad  # noqa: PLC0415  pygame
 
     return CarsOnRoad(config, others)

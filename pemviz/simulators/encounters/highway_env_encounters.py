@@ -1,4 +1,4 @@
-"""Encounters as highway-env environments; this module imports highway-env, and pygame.
+"""Encounters as highway-env environments, and films; this module imports highway-env, and pygame.
 
 Importing it registers the environments with gymnasium::
 
@@ -6,7 +6,8 @@ Importing it registers the environments with gymnasium::
     gymnasium.make("pemviz-cut-in-v0", render_mode="rgb_array")
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from typing import Any
 
 import gymnasium
@@ -14,20 +15,17 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
-from highway_env.road.lane import LineType, StraightLane
-from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.config.tracker_text import NO_TRACKER
-from pemviz.simulators.braking.highway_env_scenario import (
-    EGO_RGB,
-    LEAD_RGB,
-    ScriptedCar,
-    ScriptedEnv,
-)
+from pemviz.errors import ConfigError
+from pemviz.simulators.braking.highway_env_scenario import ScriptedEnv
 from pemviz.simulators.encounters.highway import HighwayEncounters
+from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad
+from pemviz.simulators.encounters.scenario import LogicalScenario
+from pemviz.simulators.latents import begun
 from pemviz.types import StateBatch
 
 ENCOUNTERS = {
@@ -37,35 +35,6 @@ ENCOUNTERS = {
 }
 """By the environment's id."""
 LARGEST = 1e6
-
-
-class CarsOnRoad:
-    """The ego and the other cars of an encounter, the ego first; highway-env's y grows right."""
-
-    def __init__(self, config: EncounterConfig, others: int) -> None:
-        """Put them on three lanes, as long as an encounter can need."""
-        self.dt_s, self.road = config.dt_s, _road(config)
-        size = {"length_m": config.car_length_m, "width_m": config.car_width_m}
-        colors = (EGO_RGB, *(LEAD_RGB for _ in range(others)))
-        self.cars = [ScriptedCar(self.road, **size, color=color) for color in colors]
-        self.road.vehicles = list[Vehicle](self.cars)
-
-    def put(self, places: FloatArray) -> None:
-        """Put all cars into places ``[C, 4]``; see :attr:`SceneStates.of_cars`."""
-        for car, (x_m, y_m, heading_rad, speed_mps) in zip(self.cars, places.tolist(), strict=True):
-            car.position = np.array([x_m, -y_m])
-            car.heading, car.speed = -heading_rad, speed_mps
-
-    def moved(self, places: FloatArray, does_mps2: FloatArray) -> list[tuple[float, float, float]]:
-        """Places x and y [m] and speeds [m/s], a step after places ``[C, 4]``.
-
-        All cars keep accelerations ``[C]``.
-        """
-        self.put(places)
-        for car, acceleration_mps2 in zip(self.cars, does_mps2.tolist(), strict=True):
-            car.accelerate(acceleration_mps2)
-        self.road.step(self.dt_s)
-        return [(car.position[0], -car.position[1], car.speed) for car in self.cars]
 
 
 class SignalsObservation(ObservationType):
@@ -162,18 +131,30 @@ class EncounterEnv(ScriptedEnv):
         return {"present": self.present()}
 
 
-def _road(config: EncounterConfig) -> Road:
-    """Three lanes, as long as an encounter can need."""
-    length_m, network = 20_000.0, RoadNetwork()
-    sides = (LineType.STRIPED, LineType.CONTINUOUS_LINE)
-    for lane in (-1, 0, 1):
-        left, right = sides[lane == -1], sides[lane == 1]
-        y_m = lane * config.lane_width_m
-        types: Any = (left, right)
-        ends = [-length_m, y_m], [length_m, y_m]
-        lane_of = StraightLane(*ends, width=config.lane_width_m, line_types=types)
-        network.add_lane("start", "end", lane_of)
-    return Road(network=network)
+def encounter_frames(
+    simulator: LogicalScenario, *, detected: BoolArray, start: FloatArray | None = None
+) -> Iterator[NDArray[np.uint8]]:
+    """Film a rollout with outcomes ``[T-1, K]`` and start ``[S]`` or medians; needs no display.
+
+    Raises:
+        ConfigError: It measures with errors, whose noise no film is told of.
+
+    Returns:
+        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, its left side on
+        top, the ego blue.
+    """
+    if simulator.errors is not None:
+        which = simulator.config.logical_scenario
+        message = f"film of {which}: must be of encounters without position errors"
+        raise ConfigError(message)
+    environment = EncounterEnv(simulator.config, simulator.chosen, render_mode="rgb_array")
+    first = begun(simulator, count=1, start=None if start is None else start[None])
+    try:
+        for states in accumulate(detected[:, None], simulator.step, initial=first):
+            environment.show(states)
+            yield environment.render()
+    finally:
+        environment.close()
 
 
 for _name, _encounter in ENCOUNTERS.items():

@@ -9,8 +9,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 from pemviz.config import LOGICAL_SCENARIOS, EncounterConfig, StartChoice
 from pemviz.pem import load_position_errors
 from pemviz.sampling.rollouts.simulate import replay
-from pemviz.simulators.encounters.highway import HighwayEncounters, encounter_frames
-from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv
+from pemviz.simulators.encounters.highway import HighwayEncounters
+from pemviz.simulators.encounters.highway_env_encounters import EncounterEnv, encounter_frames
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 
 TOLERANCE = 1e-9
