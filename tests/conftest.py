@@ -52,6 +52,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group(shared_runs))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_power_cuts():
+    """Nothing waits for the disk: what a file holds after a power cut, no test can see."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def authors_checkpoint() -> Path:
     return shared("authors_pem/pem_ml_nn.safetensors")

@@ -1,7 +1,7 @@
 """Finds where code asks for a method by its name instead of asking its description."""
 
 import ast
-from collections.abc import Iterator, Set
+from collections.abc import Iterable, Iterator, Set
 from pathlib import Path
 
 LOOKUPS = {"get", "pop", "setdefault", "index", "count", "startswith", "endswith", "__contains__"}
@@ -73,9 +73,15 @@ def imported(tree: ast.Module, held: dict[str, Set[str]]) -> Set[str]:
     }
 
 
-def all_comparisons(files: dict[Path, Set[str]], *, root: Path) -> list[str]:
+def parsed(files: Iterable[Path]) -> dict[Path, ast.Module]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
+
+
+def all_comparisons(
+    files: dict[Path, Set[str]], *, root: Path, trees: dict[Path, ast.Module] | None = None
+) -> list[str]:
     """``file:line`` of every comparison in files with the names that are foreign to each."""
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
+    trees = parsed(files) if trees is None else trees
     every = set[str]().union(*files.values())
     held = {
         ".".join(path.relative_to(root).with_suffix("").parts): holders(tree, every)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.sampling.registry import SHIPPED
-from tests.method_names import all_comparisons
+from tests.method_names import all_comparisons, parsed
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pemviz"
@@ -18,18 +18,24 @@ def files():
     return sorted(PACKAGE.rglob("*.py"))
 
 
+@pytest.fixture(scope="module")
+def trees():
+    """Every file of the package, parsed once."""
+    return parsed(files())
+
+
 def test_no_file_is_long():
     everything = [*files(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
     sizes = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in everything}
     assert {path: size for path, size in sizes.items() if size > LONGEST_FILE} == {}
 
 
-def test_errors_that_public_functions_raise_are_documented():
+def test_errors_that_public_functions_raise_are_documented(trees):
     """A function that raises says so; that it is documented at all is the linter's to check."""
     silent = [
         f"{path.relative_to(ROOT)}: {node.name}"
-        for path in files()
-        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        for path, tree in trees.items()
+        for node in tree.body
         if isinstance(node, ast.FunctionDef)
         and not node.name.startswith("_")
         and any(isinstance(n, ast.Raise) and n.exc is not None for n in ast.walk(node))
@@ -46,22 +52,22 @@ def homes():
     }
 
 
-def test_no_method_is_asked_for_by_name_outside_its_folder():
+def test_no_method_is_asked_for_by_name_outside_its_folder(trees):
     """What differs between methods stands in their descriptions."""
     foreign = {  # 'auto' is a word elsewhere, too
         path: {n for n, home in homes().items() if home not in path.parents and n != "auto"}
         for path in files()
     }
     assert all(len(names) >= len(SHIPPED) - 3 for names in foreign.values())
-    assert all_comparisons(foreign, root=ROOT) == []
+    assert all_comparisons(foreign, root=ROOT, trees=trees) == []
 
 
-def test_descriptions_are_asked_for_through_the_registry():
+def test_descriptions_are_asked_for_through_the_registry(trees):
     """Comparing with a description would be comparing with its method's name."""
     strangers = [
         f"{path.relative_to(ROOT)}: {node.module}"
-        for path in files()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom)
         and re.fullmatch(r"pemviz\.sampling\.\w+\.description", node.module or "")
         and path != PACKAGE / "sampling" / "registry.py"

@@ -203,7 +203,9 @@ import pemviz
 from pemviz.config import ExperimentConfig
 from pemviz.runs.engine import run_experiment
 
-result = run_experiment(ExperimentConfig(method="naive", final_rollouts=20))
+result = run_experiment(
+    ExperimentConfig(method="naive", final_rollouts=20, plan=False, measured_memory=False)
+)
 assert result.status == "done", result
 assert result.estimate.failures > 0
 print("ran")

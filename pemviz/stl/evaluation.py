@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pemviz.stl.agm import Agm
 from pemviz.stl.formulas import (
     Formula,
     FormulaError,
+    Node,
     Predicate,
     Product,
     Quotient,
@@ -70,8 +71,8 @@ def robustness_trace(
             f" the rollouts have {states} (steps 0 to {states - 1})"
         )
     steps = states - horizon if steps is None else steps
-    needed, predicates = steps + horizon, _predicates_to_check(formula)
-    named, parts = formula.signals(), list(formula.walk())
+    needed, named, parts = steps + horizon, formula.signals(), list(formula.walk())
+    predicates = _predicates_to_check(parts)
     has_until = any(isinstance(part, Until) for part in parts)
     size = max(BLOCK_VALUES // states, BLOCK_ROLLOUTS_UNTIL if has_until else BLOCK_ROLLOUTS)
     result = np.empty((rollouts, steps))
@@ -124,11 +125,13 @@ def _select(
     return used, shape
 
 
-def _predicates_to_check(formula: Formula) -> tuple[Predicate, ...]:
-    """Predicates that finite signals may leave infinite or undefined."""
+def _predicates_to_check(parts: Sequence[Node]) -> tuple[Predicate, ...]:
+    """Predicates among a formula's parts that finite signals may leave infinite or undefined."""
+    if not any(isinstance(part, Product | Quotient) for part in parts):
+        return ()
     return tuple(
         part
-        for part in formula.walk()
+        for part in parts
         if isinstance(part, Predicate)
         and any(isinstance(node, Product | Quotient) for node in part.walk())
     )

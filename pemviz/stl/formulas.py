@@ -51,6 +51,7 @@ class Node(ABC):
 
     strength: ClassVar[int]  # how tightly the text form binds, see the grammar
     _children: tuple[Node, ...] = field(init=False, repr=False, compare=False)
+    _signals: frozenset[str] = field(init=False, repr=False, compare=False)
     _depth: int = field(init=False, repr=False, compare=False)
     _nodes: int = field(init=False, repr=False, compare=False)
 
@@ -72,6 +73,9 @@ class Node(ABC):
             raise FormulaError(f"formula is nested too deeply; at most {MAX_DEPTH} levels")
         if nodes > MAX_NODES:
             raise FormulaError(f"formula is too long; at most {MAX_NODES} parts")
+        # asked for with every batch of rollouts
+        names = frozenset[str]().union(*(part._signals for part in parts))
+        object.__setattr__(self, "_signals", names)
         object.__setattr__(self, "_children", parts)
         object.__setattr__(self, "_depth", depth)
         object.__setattr__(self, "_nodes", nodes)
@@ -86,7 +90,7 @@ class Node(ABC):
 
     def signals(self) -> frozenset[str]:
         """Names of all signals used."""
-        return frozenset(node.name for node in self.walk() if isinstance(node, Signal))
+        return self._signals
 
     def _text(self, operand: Node, strength: int) -> str:
         """An operand's text, in parentheses if it binds less tightly than ``strength``."""
@@ -115,6 +119,10 @@ class Signal(Expression):
     """A signal, by name."""
 
     name: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "_signals", frozenset({self.name}))
 
     def __str__(self) -> str:
         return self.name

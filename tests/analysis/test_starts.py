@@ -177,5 +177,7 @@ def test_too_few_violations_tell_nothing():
 
 
 def test_a_scenario_that_names_none_tells_none():
-    config = pemviz.ExperimentConfig(method="naive", final_rollouts=20)
+    config = pemviz.ExperimentConfig(
+        method="naive", final_rollouts=20, measured_memory=False, plan=False
+    )
     assert "starts" not in result_document(pemviz.run_experiment(config))

@@ -7,7 +7,8 @@ import pytest
 from pemviz.cli.main import main
 
 HIGHWAY = ["--no-plan", "--simulator", "highway-env", "--stages", "1", "--rollouts", "12",
-           "--final-rollouts", "12", "--epochs", "2", "--no-recording", "--json"]  # fmt: skip
+           "--final-rollouts", "12", "--epochs", "2", "--no-recording", "--json",
+           "--no-measured-memory"]  # fmt: skip
 
 
 def record(tmp_path, capsys, *words):

@@ -198,7 +198,7 @@ def test_weights_and_shares_count_latents(controller):
     """Measured distances err: what moved their noise is part of a rollout's weight."""
     config = ExperimentConfig(
         method="mixture", stages=2, rollouts=60, final_rollouts=60, seed=5,
-        position_errors="pointpillars",
+        position_errors="pointpillars", plan=False,
     )  # fmt: skip
     controller.start(config)
     run = wait_until(controller).run

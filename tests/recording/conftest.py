@@ -14,7 +14,13 @@ from pemviz.types import StageResult
 from tests.toy import constant_pem
 
 LEARNING = ExperimentConfig(
-    method="adaptive", stages=2, rollouts=40, final_rollouts=60, epochs=20, measured_memory=False
+    method="adaptive",
+    stages=2,
+    rollouts=40,
+    final_rollouts=60,
+    epochs=20,
+    measured_memory=False,
+    plan=False,
 )
 
 

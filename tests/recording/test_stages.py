@@ -109,6 +109,8 @@ def stages_of(method):
         final_rollouts=200,
         epochs=50,
         seed=3,
+        plan=False,
+        measured_memory=False,
     )
     experiment = build_experiment(config)
     pem = constant_pem(detection_probability=0.8)

@@ -66,6 +66,7 @@ def test_code_runs_only_if_the_command_line_says_so(models, capsys, tmp_path):
         build_experiment(ExperimentConfig(pem=models[0]))
     words = ["record", "--method", "monte-carlo", "--pem", models[0], "--out", str(tmp_path)]
     short = ["--scenario.states", "50", "--spec", CONFIG.spec, "--no-recording", "--json"]
+    short += ["--no-measured-memory", "--no-plan"]
     assert main([*words, *short]) == 2
     assert "--allow-python" in capsys.readouterr().err
     assert main([*words, *short, "--allow-python"]) == 0

@@ -67,7 +67,7 @@ OTHER_TYPE = {
 
 TINY = ExperimentConfig(method="adaptive",
     stages=1, rollouts=20, final_rollouts=30, epochs=2, seed=3, spec="always[0,11] (gap >= 2.0)",
-    scenario=ScenarioConfig(states=12, dt_s=0.4),
+    scenario=ScenarioConfig(states=12, dt_s=0.4), plan=False, measured_memory=False,
 )  # fmt: skip
 
 
@@ -170,7 +170,15 @@ def test_the_sample_run_is_read_and_written_to_the_same_document(tmp_path):
         *(replace(TINY, method=method) for method in METHODS.names()),
         replace(TINY, method="naive", spec="true"),  # infinitely robust
         replace(TINY, method="naive", spec="always[0,9] (gap >= 2.0 and false)"),
-        replace(TINY, method="mixture", reference=True, target=1e-20, repetitions=2),
+        replace(
+            TINY,
+            method="mixture",
+            reference=True,
+            target=1e-20,
+            repetitions=2,
+            plan=True,
+            measured_memory=True,
+        ),
     ],
     ids=lambda config: f"{config.method}-{config.spec[:6]}",
 )
@@ -337,7 +345,10 @@ def test_a_file_without_an_end_is_not_read_to_its_end(tmp_path, monkeypatch):
         read_result(tmp_path)
 
 
-SIZES = {"stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5}
+SIZES = {
+    "stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5, "plan": False,
+    "measured_memory": False,
+}  # fmt: skip
 
 
 def through_json(result):
@@ -400,9 +411,8 @@ def test_the_sample_run_warns_of_nothing():
         ),
     ],
 )
-def test_diagnostics_that_nobody_wrote_are_refused(damage, words):
-    config = ExperimentConfig(method="monte-carlo", final_rollouts=20)
-    document = through_json(run_experiment(config))
+def test_diagnostics_that_nobody_wrote_are_refused(sample, damage, words):
+    document = copy.deepcopy(sample)
     document["estimate"] |= damage
     with pytest.raises(InputError, match=words):
         result_from_document(document)
