@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from pemviz.runs.result import RunResult
     from pemviz.runs.run_folder import RunStore
     from pemviz.sampling.description import MethodDescription
-    from pemviz.sampling.state.hidden import HiddenProperty, Known
+    from pemviz.sampling.state.component import Known
+    from pemviz.sampling.state.hidden import HiddenProperty
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
     from pemviz.simulators.gymnasium_adapter import (
         GymnasiumEpisodes,
@@ -65,7 +66,8 @@ _HOMES = {
     "runs.result": "RunResult",
     "runs.run_folder": "RunStore",
     "sampling.description": "MethodDescription",
-    "sampling.state.hidden": "HiddenProperty Known",
+    "sampling.state.component": "Known",
+    "sampling.state.hidden": "HiddenProperty",
     "simulators.episodic": "EpisodicSimulator side_by_side",
     "simulators.gymnasium_adapter": (
         "GymnasiumEpisodes GymnasiumSimulator GymnasiumSlotEpisodes GymnasiumSlotSimulator "

@@ -28,6 +28,8 @@ CERTAIN = "outcome_certain"
 """Memory of states at which perception's outcome is certain; proposals leave it to the model."""
 LAST = "last_outcome_"
 """Memory, with a slot's number: its last outcome."""
+VIOLATED = "violated"
+"""Memory: whether there has been a violation."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,14 @@ class StateBatch:
         step: Index of the state in its rollout; broadcasts against the signals.
         signals: One array ``[...]`` for each signal, by name.
         memory: What the controller remembers, e.g. its speed integral; arrays ``[...]``.
+        beside: What is known beside them, of all rows together, and is not kept: not with rows
+            that are taken, nor with rollouts.
     """
 
     step: IntArray
     signals: Mapping[str, FloatArray]
     memory: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
+    beside: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -251,6 +256,16 @@ class RolloutBatch(Batch):
             signals={name: values[:, :steps] for name, values in self.signals.items()},
             memory={name: values[:, :steps] for name, values in self.memory.items()},
         )
+
+
+def violated_rule(rule: str) -> str:
+    """The memory that says whether a rollout has broken one of several rules."""
+    return f"{VIOLATED} {rule}"
+
+
+def tells_violation(memory: str) -> bool:
+    """Whether memory of that name is :data:`VIOLATED`, or :func:`violated_rule` of a rule."""
+    return memory == VIOLATED or memory.startswith(violated_rule(""))
 
 
 def outcome_log_likelihood(logit: FloatArray, detected: BoolArray) -> FloatArray:

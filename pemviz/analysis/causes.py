@@ -16,8 +16,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
 from pemviz.config.ranges import AtLeastZero, Count, Share, StepIndex
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.estimates.importance_weights import log_sum
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import CERTAIN, RolloutBatch, ScoredRollouts
+from pemviz.types import CERTAIN, VIOLATED, RolloutBatch, ScoredRollouts
 
 CARRIED = 0.99
 """The part of an estimate that its carrying rollouts make up together."""

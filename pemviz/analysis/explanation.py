@@ -156,7 +156,7 @@ def explain(
     bands = 0 if farthest_m is None else math.ceil(farthest_m / BAND_WIDTH_M)
     edges = [BAND_WIDTH_M * band for band in range(bands + 1)]
     log_mu = stage.log10_probability * math.log(10.0)
-    properties = () if system is None else system.properties
+    properties = () if system is None else system.components
     visibility = property_in(properties, Visibility)
     remembered: outcomes.MemoryLikelihood | None = None
     if system is not None and visibility is not None:

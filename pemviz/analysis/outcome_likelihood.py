@@ -30,8 +30,7 @@ from pemviz.pem.models.memory import Memory, log_sums, miss_quantile, persistenc
 from pemviz.sampling.state.composed import ComposedSimulator
 from pemviz.sampling.state.last_outcome import last_outcome
 from pemviz.sampling.state.visibility import Visibility
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import LAST_OUTCOME, RolloutBatch
+from pemviz.types import LAST_OUTCOME, VIOLATED, RolloutBatch
 
 CHUNK_OUTCOMES = 20_000
 LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)

@@ -21,7 +21,7 @@ from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import RunResult, StageSummary
 from pemviz.sampling.kept import log_of
 from pemviz.sampling.method import PoolsStages
-from pemviz.sampling.state.composed import ComposedSimulator, memory_of_pem
+from pemviz.sampling.state.composed import memory_of_pem
 from pemviz.simulators.latents import NamesStarts, latent_counts, within
 from pemviz.types import StageResult, numbers_of
 
@@ -140,7 +140,7 @@ def _explained(interpreted: Interpreted, experiment: Experiment, stage: StageRes
         dt_s=experiment.back_end.simulator.dt_s,
         tau_s=memory_of_pem(experiment.pem).tau_s,
         folding=experiment.folding,
-        system=within(experiment.problem.simulator, ComposedSimulator),
+        system=experiment.problem.system,
     )
     if explanation is None:
         return interpreted

@@ -15,7 +15,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.sampling.problem import FinishedStage
 from pemviz.sampling.slots import unrolled
-from pemviz.simulators.absorbing import Monitor
+from pemviz.sampling.state.violated import Monitor
 from pemviz.simulators.slots import ERROR, SLOT, UnrolledSimulator
 from pemviz.types import (
     CERTAIN,

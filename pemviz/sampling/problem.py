@@ -25,8 +25,8 @@ from pemviz.sampling.state.composed import (
     as_member,
     with_hidden,
 )
-from pemviz.simulators.absorbing import Monitor
-from pemviz.simulators.latents import latent_counts, within
+from pemviz.sampling.state.violated import Monitor
+from pemviz.simulators.latents import latent_counts
 from pemviz.types import (
     Proposal,
     RolloutBatch,
@@ -139,19 +139,23 @@ class Problem:
         Raises:
             ValueError: System and error model do not belong together.
         """
-        found = within(self.simulator, ComposedSimulator)
         own = self.pem.pem if isinstance(self.pem, ChainModel) else None
-        if own is not (None if found is None else found.pem):
+        if own is not (None if self.system is None else self.system.pem):
             message = "a system that knows its error model and the model are replaced together"
             raise ValueError(message)
+
+    @property
+    def system(self) -> ComposedSimulator | None:
+        """The simulator with its components; ``None``: it is a scenario alone."""
+        return self.simulator if isinstance(self.simulator, ComposedSimulator) else None
 
     def under(self, pem: Pem) -> "Problem":
         """The problem with another model of single outcomes, and the same hidden properties."""
         if not isinstance(self.pem, ChainModel):
             return replace(self, pem=as_member(pem, like=self.pem))
-        assert isinstance(self.simulator, ComposedSimulator)  # noqa: S101  as it was put together
+        assert self.system is not None  # noqa: S101  as it was put together
         model = with_hidden(pem, self.pem.properties)
-        return replace(self, pem=model, simulator=replace(self.simulator, pem=pem))
+        return replace(self, pem=model, simulator=replace(self.system, pem=pem))
 
 
 def sample(

@@ -9,7 +9,6 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.latents import StandardNormals
-from pemviz.simulators.absorbing import VIOLATED, violated_rule
 from pemviz.simulators.check_declared import (
     Complaint,
     check_counts,
@@ -24,7 +23,7 @@ from pemviz.simulators.episodic import episodic, kept_memory
 from pemviz.simulators.latents import begun, latent_counts, stepped
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
-from pemviz.types import Simulator, StateBatch
+from pemviz.types import Simulator, StateBatch, tells_violation
 
 AnySimulator: TypeAlias = Simulator | SlotSimulator
 
@@ -296,7 +295,7 @@ class _Trial:
         if set(states.signals) != declared:
             complaint.refuse(f"signals are {sorted(states.signals)}, declared {sorted(declared)}")
         for name in states.memory:
-            if name == VIOLATED or name.startswith(violated_rule("")):
+            if tells_violation(name):
                 complaint.refuse(f"the memory {name!r} is pemviz's own; choose another name")
         for name, values in {**states.signals, **states.memory}.items():
             if np.shape(values) != (count,):

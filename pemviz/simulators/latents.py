@@ -1,6 +1,7 @@
 """Scenarios with latents, those without, and what wraps them: begun and stepped the same way."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -63,6 +64,46 @@ class NamesStarts(Protocol):
         They may be derived ones too, such as a closing speed.
         """
         ...
+
+
+@dataclass(frozen=True)
+class WrappedSimulator:
+    """The same scenario, of whose states something more is known.
+
+    Attributes:
+        scenario: The back end itself.
+    """
+
+    scenario: Simulator
+
+    @property
+    def name(self) -> str:
+        """The back end's name."""
+        return self.scenario.name
+
+    @property
+    def states(self) -> int:
+        """States in a rollout."""
+        return self.scenario.states
+
+    @property
+    def dt_s(self) -> float:
+        """Time step [s]."""
+        return self.scenario.dt_s
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The back end's signals."""
+        return self.scenario.signals
+
+    @property
+    def latents(self) -> LatentCounts:
+        """The back end's latents."""
+        return latent_counts(self.scenario)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The back end's salient variables."""
+        return self.scenario.salient(signals)
 
 
 def within(simulator: object, kind: type[Part]) -> Part | None:

@@ -14,10 +14,10 @@ from scipy.special import ndtr, ndtri
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import ConfigError
-from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.latents import (
     LatentSimulator,
     NamesStarts,
+    WrappedSimulator,
     begun,
     latent_counts,
     stepped,

@@ -10,7 +10,7 @@ an obstacle, a report of a ghost. An absent slot's outcome is nominal for certai
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -25,6 +25,8 @@ SLOT = "slot"
 """Signal: the number of the slot whose turn it is; there with two slots or more."""
 ERROR = "slot_error_"
 """Memory, with a slot's number: whether its outcome earlier in this step is an error."""
+SIGHT = "sight"
+"""Beside states: the :class:`Sight` at them, which is the same in the turns of all slots."""
 
 
 @dataclass(frozen=True)
@@ -120,19 +122,6 @@ class ReactsInSlot(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class SeenStates(StateBatch):
-    """States with what perception depends on at them: it is the same in the turns of all slots.
-
-    Rows that are taken from them, or kept with rollouts, are plain states again.
-
-    Attributes:
-        sight: Follows from the signals, of which a wrapper may add some.
-    """
-
-    sight: Sight
-
-
 @runtime_checkable
 class BringsSlotModels(Protocol):
     """A scenario that itself says how likely some of its slots are reported, as of a ghost."""
@@ -203,19 +192,22 @@ class UnrolledSimulator:
         """The states after a turn whose outcome is nominal where ``detected [N]``."""
         turn = int(states.step) % self.turns
         error = ~(detected | states.memory[CERTAIN])
-        own = _seen(self.declared(states), self.seen(states).sight)
+        sight = self._sight(states)
+        own = replace(self.declared(states), beside={SIGHT: sight})
         errors = {name: states.memory[name] for name in self._errors}
         if turn < self.turns - 1:
             errors[f"{ERROR}{turn}"] = error
             return self._in_turn(own, errors, turn=turn + 1, step=states.step + 1)
         by_slot = np.stack([*errors.values(), error], axis=-1)
         after = stepped(self.scenario, own, by_slot ^ self.nominal, noise)
+        if after.beside.get(SIGHT) is sight:  # handed on with the rest of the states before
+            after = replace(after, beside={})
         none = np.zeros(detected.shape, dtype=np.bool_)
         return self._in_turn(after, dict.fromkeys(errors, none), turn=0, step=states.step + 1)
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slot's salient variables, whether it is present, its number, ``[..., D + 2]``."""
-        slot, sight = self.slot_of(signals), self._sight(signals)
+        slot, sight = self.slot_of(signals), self._looked(signals)
         salient = np.take_along_axis(sight.salient, slot[..., None, None], axis=-2)
         present = np.take_along_axis(sight.present, slot[..., None], axis=-1)
         turn = np.concatenate([present, slot[..., None]], axis=-1, dtype=np.float64)
@@ -223,7 +215,7 @@ class UnrolledSimulator:
 
     def salient_at(self, states: StateBatch) -> FloatArray:
         """The same at states that are all in the turn of one slot, ``[N, D + 2]``."""
-        turn, sight = self.turn_at(states), self.seen(states).sight
+        turn, sight = self.turn_at(states), self._sight(states)
         if turn is None:
             return self.salient(states.signals)
         own = sight.salient[..., turn, :]
@@ -271,11 +263,9 @@ class UnrolledSimulator:
             memory={n: v for n, v in states.memory.items() if not self.is_own(n)},
         )
 
-    def seen(self, states: StateBatch) -> SeenStates:
-        """Unrolled states, or the scenario's, with what perception depends on at them."""
-        if isinstance(states, SeenStates):
-            return states
-        return _seen(states, self._sight(states.signals))
+    def seen(self, states: StateBatch) -> StateBatch:
+        """Unrolled states with what perception depends on at them beside."""
+        return replace(states, beside={**states.beside, SIGHT: self._sight(states)})
 
     @staticmethod
     def is_own(name: str) -> bool:
@@ -294,7 +284,12 @@ class UnrolledSimulator:
     def _names(self) -> tuple[str, ...]:
         return tuple(signal.name for signal in self.scenario.signals)
 
-    def _sight(self, signals: Mapping[str, FloatArray]) -> Sight:
+    def _sight(self, states: StateBatch) -> Sight:
+        """Of unrolled states, or the scenario's, which may know it."""
+        known: Sight | None = states.beside.get(SIGHT)
+        return self._looked(states.signals) if known is None else known
+
+    def _looked(self, signals: Mapping[str, FloatArray]) -> Sight:
         own = self._own(signals)
         if isinstance(self.scenario, SeesAtOnce):
             return self.scenario.sight(own)
@@ -303,13 +298,13 @@ class UnrolledSimulator:
     def _in_turn(
         self, states: StateBatch, errors: Mapping[str, AnyArray], *, turn: int, step: Any
     ) -> StateBatch:
-        sight = self.seen(states).sight
+        sight = self._sight(states)
         shown = {SLOT: np.full(states.shape, float(turn))} if self.turns > 1 else {}
-        return SeenStates(
+        return StateBatch(
             step=step,
             signals={**states.signals, **shown},
             memory={**states.memory, **errors, CERTAIN: ~sight.present[..., turn]},
-            sight=sight,
+            beside={SIGHT: sight},
         )
 
 
@@ -326,7 +321,3 @@ class _EvaluatedSight:
     @cached_property
     def salient(self) -> FloatArray:
         return self._scenario.salient(self._signals)
-
-
-def _seen(states: StateBatch, sight: Sight) -> SeenStates:
-    return SeenStates(states.step, states.signals, states.memory, sight=sight)

@@ -15,8 +15,7 @@ from pemviz.proposals.fixed import ConstantProposal
 from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.sampling.state.composed import ComposedPem, with_last_outcome
 from pemviz.sampling.state.last_outcome import LastOutcome
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts
+from pemviz.types import VIOLATED, RolloutBatch, ScoredRollouts
 from tests.lattice_walk import ToyPem, ToySimulator, toy_violated
 from tests.sampling.test_memory import by_enumeration
 

@@ -23,8 +23,7 @@ from pemviz.proposals.offset_logistic_fit import (
     group_sums,
     leave_one_out_loss,
 )
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import StateBatch
+from pemviz.types import VIOLATED, StateBatch
 from tests.lattice_walk import ToySimulator
 
 NO_RIDGE = 1e-9

@@ -302,4 +302,4 @@ def test_a_signal_of_that_name_is_refused_in_one_line():
         with_memory(twice, PEM, memory=MEMORIES[0])
     assert "\n" not in str(caught.value)
     assert isinstance(problem.simulator, ComposedSimulator)
-    assert isinstance(problem.simulator.properties[-1], Visibility)
+    assert isinstance(problem.simulator.components[-1], Visibility)

@@ -23,8 +23,7 @@ from pemviz.sampling.mixture.stages import components
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay, simulate
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import RolloutBatch, outcome_log_likelihood
+from pemviz.types import VIOLATED, RolloutBatch, outcome_log_likelihood
 from tests.lattice_walk import (
     ToyPem,
     ToySimulator,

@@ -12,15 +12,11 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.simulate import replay
+from pemviz.sampling.state.composed import ComposedSimulator
+from pemviz.sampling.state.violated import Monitored, Violated
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
-from pemviz.simulators.absorbing import (
-    VIOLATED,
-    AbsorbingSimulator,
-    MonitoredSimulator,
-    MonitoredStates,
-)
 from pemviz.stl import FormulaMonitor
-from pemviz.types import StateBatch, outcome_log_likelihood
+from pemviz.types import VIOLATED, StateBatch, outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.toy import estimate_of
 
@@ -113,13 +109,12 @@ def test_a_monitor_of_states_latches_as_the_states_do():
     formula = stl.parse(text, signals=["gap"])
     unsafe = unsafe_states(formula)
     generator = np.random.default_rng(5)
-    by_state = AbsorbingSimulator(SIMULATOR, unsafe)
-    by_monitor = MonitoredSimulator(SIMULATOR, FormulaMonitor(formula))
+    by_state = ComposedSimulator(SIMULATOR, (Violated(unsafe),))
+    by_monitor = ComposedSimulator(SIMULATOR, (Monitored(FormulaMonitor(formula)),))
     one, other = by_state.initial(count=60), by_monitor.initial(count=60)
     for _ in range(SIMULATOR.states - 1):
         detected = generator.random(60) < 0.5
         one, other = by_state.step(one, detected), by_monitor.step(other, detected)
-        assert isinstance(other, MonitoredStates)
         np.testing.assert_array_equal(one.memory[VIOLATED], other.memory[VIOLATED])
     assert one.memory[VIOLATED].any()
     assert by_monitor.name == "toy"

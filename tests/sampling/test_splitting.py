@@ -17,7 +17,8 @@ from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.splitting.importance import MOST_EVALUATIONS, OUT_OF_REACH, importance
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 from pemviz.sampling.splitting.run import split
-from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
+from pemviz.sampling.state.composed import with_component
+from pemviz.sampling.state.violated import Monitored, Violated
 from pemviz.stl import FormulaMonitor, parse
 from tests.lattice_walk import (
     ToyPem,
@@ -285,13 +286,13 @@ def test_states_that_cannot_be_kept_are_refused(kind):
     """An absorbing violation stands in the memory; what a monitor knows does not."""
     problem = toy_problem_of(ToySimulator(), ToyPem(at_zero=0.0))
     formula = parse("always[0,14] (gap > 0)", signals=["gap"])
-    wrapped = {
-        "absorbing": AbsorbingSimulator(problem.simulator, toy_unsafe),
-        "monitored": MonitoredSimulator(problem.simulator, FormulaMonitor(formula)),
+    remembers = {
+        "absorbing": Violated(toy_unsafe),
+        "monitored": Monitored(FormulaMonitor(formula)),
     }
-    problem = replace(problem, simulator=wrapped[kind])
+    problem = replace(problem, simulator=with_component(problem.simulator, remembers[kind]))
     if kind == "monitored":
-        with pytest.raises(ConfigError, match="its states carry known, own beside"):
+        with pytest.raises(ConfigError, match="its states carry what a monitor knows beside"):
             split(problem, count=10, generators=[np.random.default_rng(0)])
     else:
         (run,) = split(problem, count=10, generators=[np.random.default_rng(0)])

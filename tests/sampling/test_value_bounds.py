@@ -29,9 +29,14 @@ from pemviz.sampling.zero_variance.reachable_states import (
 )
 from pemviz.sampling.zero_variance.unsafe_states import certain_violation, unsafe_states
 from pemviz.sampling.zero_variance.values import solve
-from pemviz.simulators.absorbing import signal_bounds, signals_reached, tells_bounds, tells_reached
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.latents import begun
+from pemviz.simulators.signal_bounds import (
+    signal_bounds,
+    signals_reached,
+    tells_bounds,
+    tells_reached,
+)
 from pemviz.types import StateBatch, outcome_log_likelihood
 from tests.sampling.test_memory import with_memory
 

@@ -13,6 +13,8 @@ from scipy.special import logsumexp
 from pemviz import stl
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.simulate import replay
+from pemviz.sampling.state.composed import with_component
+from pemviz.sampling.state.violated import Violated
 from pemviz.sampling.zero_variance.left_out import left_out_share
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.sampling.zero_variance.proposal import build_zero_variance_proposal, with_defence
@@ -25,7 +27,6 @@ from pemviz.sampling.zero_variance.reachable_states import (
 from pemviz.sampling.zero_variance.reference import exact_log_probability
 from pemviz.sampling.zero_variance.unsafe_states import unsafe_states
 from pemviz.sampling.zero_variance.values import solve
-from pemviz.simulators.absorbing import AbsorbingSimulator
 from pemviz.types import Signal, StateBatch, outcome_log_likelihood
 from tests.toy import FunctionPem
 
@@ -131,7 +132,7 @@ def all_sequences(problem):
 
 def likelihoods(problem, detected, *, proposal):
     """Log likelihood ``[N]`` of sequences ``[N, T-1]`` under the error model and a proposal."""
-    simulator = AbsorbingSimulator(problem.simulator, problem.unsafe)
+    simulator = with_component(problem.simulator, Violated(problem.unsafe))
     states = simulator.initial(count=detected.shape[0])
     log_p, log_q = np.zeros(detected.shape[0]), np.zeros(detected.shape[0])
     for outcomes in detected.T:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.drawn_scene import drawn_scene
-from pemviz.simulators.latents import within
+from pemviz.simulators.latents import WrappedSimulator, within
 from pemviz.simulators.scene import DrawsTracks
 from pemviz.simulators.slots import UnrolledSimulator
 from tests.lattice_walk import ToySimulator

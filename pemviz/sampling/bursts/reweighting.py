@@ -29,9 +29,9 @@ from pemviz.sampling.state.composed import ComposedFeatures, ComposedPem
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.state.visibility import GivenVisibility
-from pemviz.simulators.absorbing import VIOLATED
 from pemviz.types import (
     LAST_OUTCOME,
+    VIOLATED,
     Proposal,
     RolloutBatch,
     ScoredRollouts,

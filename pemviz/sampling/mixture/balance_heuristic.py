@@ -20,7 +20,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import Monomials, outcome_ratios, shift, some_at_once
-from pemviz.simulators.absorbing import violated_rule
+from pemviz.types import violated_rule
 
 EXPLORATION, PLAIN = 0, 1
 """The components that stand for the exploration proposals' family and for the error model itself,

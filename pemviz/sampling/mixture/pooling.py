@@ -22,8 +22,7 @@ from pemviz.sampling.mixture.balance_heuristic import (
 )
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.stages import Joining
-from pemviz.simulators.absorbing import VIOLATED
-from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
+from pemviz.types import VIOLATED, RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE, LOWER_DEGREE = 3, 2
 """Of monomials; the lower one where those of the other would be more than ``MOST_MONOMIALS``."""

@@ -40,11 +40,12 @@ from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
+from pemviz.sampling.state.composed import with_component
+from pemviz.sampling.state.violated import EachRule, Monitored
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
-from pemviz.simulators.absorbing import VIOLATED, EachRule, MonitoredSimulator
 from pemviz.simulators.latents import latent_counts
-from pemviz.types import SampledRollouts, ScoredRollouts, StateBatch
+from pemviz.types import VIOLATED, SampledRollouts, ScoredRollouts, StateBatch
 
 EARLY_EXPLORATION_SHARE = 0.25
 """Of the rollouts of the first half of the learning stages, sampled from the exploration proposals'
@@ -279,12 +280,12 @@ def several_rules(problem: Problem) -> tuple[str, ...]:
 
 
 def watching(problem: Problem) -> Problem:
-    """With a simulator that remembers what is broken, and that nothing is left to break."""
+    """With a system that remembers what is broken, and that nothing is left to break."""
     rules = several_rules(problem)
     if not rules:
         return with_absorbing_violation(problem)
     each = EachRule({rule: problem.rules[rule].monitor for rule in rules})
-    return replace(problem, simulator=MonitoredSimulator(problem.simulator, each))
+    return replace(problem, simulator=with_component(problem.simulator, Monitored(each)))
 
 
 def main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:

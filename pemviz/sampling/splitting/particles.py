@@ -29,7 +29,7 @@ from pemviz.sampling.splitting.importance import (
 )
 from pemviz.sampling.state.composed import carried_at, kept_with_rollouts
 from pemviz.simulators.latents import begun, latent_counts, salient_of, stepped
-from pemviz.simulators.slots import SeenStates
+from pemviz.simulators.slots import SIGHT
 from pemviz.types import RolloutBatch, Simulator, StateBatch
 
 
@@ -174,8 +174,9 @@ def continued(problem: Problem, runs: Sequence[Continuation]) -> Sequence[Partic
 
 
 def _check_can_be_kept(simulator: Simulator, states: StateBatch) -> None:
-    kept = {part.name for part in fields(SeenStates)}  # what is seen follows from the signals
+    kept = {part.name for part in fields(StateBatch)}
     more = [part.name for part in fields(states) if part.name not in kept]
+    more += [name for name in states.beside if name != SIGHT]  # which follows from the signals
     if more:
         message = (
             f"simulator {simulator.name}: its states carry {', '.join(more)} beside signals and "

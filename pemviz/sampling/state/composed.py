@@ -1,15 +1,14 @@
-"""A scenario together with what perception hides: one system, as methods see any other.
+"""A scenario and what else outcomes and states tell: a system, as methods see any other.
 
-States, error model and features of the scenario are each followed by those of its hidden
-properties, in their order. Nothing else wraps them: a system is put together once, and what a
-property knows the property says.
+States, error model and features of the scenario are each followed by those of the system's
+components, in their order; what a component knows the component says.
 """
 
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,46 +18,45 @@ from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
-from pemviz.sampling.state.hidden import CARRIED, HiddenProperty, OwnLogit
+from pemviz.sampling.state.component import CARRIED, Component, Known
+from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
 from pemviz.sampling.state.last_outcome import LastOutcome
 from pemviz.sampling.state.visibility import Visibility
-from pemviz.simulators.absorbing import WrappedSimulator
 from pemviz.simulators.episodic import kept_memory
-from pemviz.simulators.latents import begun, salient_of, stepped, within
+from pemviz.simulators.latents import WrappedSimulator, begun, salient_of, stepped
 from pemviz.simulators.slots import UnrolledSimulator
 from pemviz.types import RolloutBatch, Signal, Simulator, StateBatch, outcome_log_likelihood
 
-Kind = TypeVar("Kind", bound=HiddenProperty)
+Kind = TypeVar("Kind", bound=Component)
 STEP_ALONE = "step alone"
 """Signal of states that tell nothing of a scenario."""
 
 
 @dataclass(frozen=True)
 class ComposedSimulator(WrappedSimulator):
-    """A scenario whose states know what outcomes tell of hidden properties.
+    """A scenario whose states know what its components do.
 
     Attributes:
-        properties: At least one.
+        components: At least one.
         pem: The model of single outcomes, where what is known depends on it; one of the user's own
             need not know how to compare, so that it takes no part in comparisons.
-        left_out: Properties whose part of the states is not gone on with.
+        left_out: Components whose part of the states is not gone on with.
     """
 
-    properties: tuple[HiddenProperty, ...]
+    components: tuple[Component, ...]
     pem: Pem | None = field(default=None, compare=False)
-    left_out: tuple[HiddenProperty, ...] = ()
+    left_out: tuple[Component, ...] = ()
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """The scenario's signals, and each property's."""
-        return (*self.scenario.signals, *_signals(self.properties))
+        """The scenario's signals, and each component's."""
+        return (*self.scenario.signals, *_signals(self.components))
 
     def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
         """The scenario's initial states, before any outcome."""
         states = begun(self.scenario, count=count, start=start)
-        for one in self.properties:
-            known = one.begin(states, self.own_logit)
-            states = _with(states, known.signals, known.memory)
+        for one in self.components:
+            states = _with(states, one.begin(states, self.own_logit))
         return states
 
     def step(
@@ -66,13 +64,12 @@ class ComposedSimulator(WrappedSimulator):
     ) -> StateBatch:
         """The scenario's next states after outcomes ``[N]``."""
         reached = stepped(self.scenario, self.scenario_states(states), detected, noise)
-        for one in self.properties:
-            known = one.next(states, detected, reached, self.own_logit)
-            reached = _with(reached, known.signals, known.memory)
+        for one in self.components:
+            reached = _with(reached, one.next(states, detected, reached, self.own_logit))
         return reached
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """The scenario's salient variables, and what properties show, ``[..., D + K]``."""
+        """The scenario's salient variables, and what components show, ``[..., D + K]``."""
         return self._followed(self.scenario.salient(self._scenario_signals(signals)), signals)
 
     def salient_at(self, states: StateBatch) -> FloatArray:
@@ -84,16 +81,16 @@ class ComposedSimulator(WrappedSimulator):
         """Logit of P(detected) ``[...]`` of the model of single outcomes, at the system's states.
 
         Raises:
-            TypeError: No property depends on it, so that the system does not know the model.
+            TypeError: No component depends on it, so that the system does not know the model.
         """
         if self.pem is None:
-            message = "a system whose properties do not follow the error model does not know it"
+            message = "a system whose components do not follow the error model does not know it"
             raise TypeError(message)
         return self.pem.logit(self.scenario.salient(self._scenario_signals(states.signals)))
 
     def scenario_states(self, states: StateBatch) -> StateBatch:
         """The system's states as those of the scenario."""
-        every = (*self.properties, *self.left_out)
+        every = (*self.components, *self.left_out)
         memory = {
             name: values
             for name, values in states.memory.items()
@@ -102,12 +99,12 @@ class ComposedSimulator(WrappedSimulator):
         return replace(states, signals=self._scenario_signals(states.signals), memory=memory)
 
     def _scenario_signals(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        added = {signal.name for signal in _signals((*self.properties, *self.left_out))}
+        added = {signal.name for signal in _signals((*self.components, *self.left_out))}
         return {name: values for name, values in signals.items() if name not in added}
 
     def _followed(self, own: FloatArray, signals: Mapping[str, FloatArray]) -> FloatArray:
-        shown = [signals[name][..., None] for one in self.properties for name in one.shown]
-        return np.concatenate((own, *shown), -1)
+        shown = [signals[name][..., None] for one in self.components for name in one.shown]
+        return np.concatenate((own, *shown), -1) if shown else own
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +204,7 @@ class ChainModel(ComposedPem):
                     known = one.begin(states, model)
                 else:
                     known = one.next(before, detected[:, step - 1], states, model)
-                states = _with(states, known.signals, known.memory)
+                states = _with(states, known)
             columns = [states.signals[name] for one in self.properties for name in one.shown]
             shown = np.stack(columns, axis=-1) if columns else np.empty((len(detected), 0))
             logit = self._fold(partial(model, states), shown)
@@ -325,6 +322,13 @@ def system_of(
     return ComposedSimulator(simulator, properties, pem)
 
 
+def with_component(simulator: Simulator, one: Component) -> ComposedSimulator:
+    """The system with one more component, after those that it has."""
+    if isinstance(simulator, ComposedSimulator):
+        return replace(simulator, components=(*simulator.components, one))
+    return ComposedSimulator(simulator, (one,))
+
+
 def with_last_outcome(simulator: Simulator, *, tau_s: float) -> ComposedSimulator:
     """A scenario that shows the last outcome.
 
@@ -384,7 +388,7 @@ def hidden_in(pem: Pem) -> tuple[HiddenProperty, ...]:
     return pem.properties if isinstance(pem, ComposedPem) else ()
 
 
-def property_in(properties: Sequence[HiddenProperty], kind: type[Kind]) -> Kind | None:
+def property_in(properties: Sequence[Component], kind: type[Kind]) -> Kind | None:
     """The one of a kind; ``None`` if there is none."""
     return next((one for one in properties if isinstance(one, kind)), None)
 
@@ -403,30 +407,28 @@ def without_following(simulator: Simulator) -> Simulator:
     """The system without properties that follow the error model; given these, it is as before."""
     if not isinstance(simulator, ComposedSimulator):
         return simulator
-    kept = tuple(one for one in simulator.properties if not one.follows_model)
+    kept = tuple(one for one in simulator.components if not one.follows_model)
     return ComposedSimulator(simulator.scenario, kept) if kept else simulator.scenario
 
 
 def dynamics_of(simulator: Simulator) -> Simulator:
     """What steps a system's states where nobody evaluates the error model."""
-    found = within(simulator, ComposedSimulator)
-    if found is None or found.pem is None:
+    if not isinstance(simulator, ComposedSimulator) or simulator.pem is None:
         return simulator
-    kept = tuple(one for one in found.properties if not one.follows_model)
-    rest = tuple(one for one in found.properties if one.follows_model)
-    return ComposedSimulator(found.scenario, kept, left_out=rest)
+    kept = tuple(one for one in simulator.components if not one.follows_model)
+    rest = tuple(one for one in simulator.components if one.follows_model)
+    return ComposedSimulator(simulator.scenario, kept, left_out=rest)
 
 
 def carried_at(
     simulator: Simulator, rollouts: RolloutBatch, *, step: IntArray
 ) -> Mapping[str, AnyArray]:
     """Memory ``[N]`` that is not kept with rollouts, at their states ``step [N]``, ascending."""
-    found = within(simulator, ComposedSimulator)
-    if found is None:
+    if not isinstance(simulator, ComposedSimulator):
         return {}
     carried: dict[str, AnyArray] = {}
-    for one in found.properties:
-        carried |= one.memory_at(rollouts, step=step, model=found.own_logit)
+    for one in simulator.components:
+        carried |= one.memory_at(rollouts, step=step, model=simulator.own_logit)
     return carried
 
 
@@ -436,13 +438,14 @@ def kept_with_rollouts(memory: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: values for name, values in kept.items() if not name.startswith(CARRIED)}
 
 
-def _signals(properties: Sequence[HiddenProperty]) -> list[Signal]:
-    return [signal for one in properties for signal in one.signals]
+def _signals(components: Sequence[Component]) -> list[Signal]:
+    return [signal for one in components for signal in one.signals]
 
 
-def _with(
-    states: StateBatch, signals: Mapping[str, FloatArray], memory: Mapping[str, Any]
-) -> StateBatch:
+def _with(states: StateBatch, known: Known) -> StateBatch:
     return replace(
-        states, signals={**states.signals, **signals}, memory={**states.memory, **memory}
+        states,
+        signals={**states.signals, **known.signals},
+        memory={**states.memory, **known.memory},
+        beside={**states.beside, **known.beside},
     )

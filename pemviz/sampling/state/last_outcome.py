@@ -13,7 +13,8 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.memory import persistence, remembering_logit
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.state.hidden import HiddenProperty, Known, ModelLogit, OwnLogit
+from pemviz.sampling.state.component import Known, ModelLogit
+from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
 from pemviz.types import CERTAIN, LAST, LAST_OUTCOME, Signal, StateBatch
 
 SHORT_RHO = 0.1

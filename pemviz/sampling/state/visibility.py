@@ -24,7 +24,8 @@ from pemviz.pem.models.memory import (
     remembered_outcomes,
 )
 from pemviz.proposals.offset_logistic import StateFeatures
-from pemviz.sampling.state.hidden import CARRIED, HiddenProperty, Known, ModelLogit, OwnLogit
+from pemviz.sampling.state.component import CARRIED, Known, ModelLogit
+from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
 from pemviz.sampling.state.last_outcome import last_outcome
 from pemviz.types import RolloutBatch, Signal, StateBatch
 

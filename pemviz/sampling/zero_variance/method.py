@@ -23,6 +23,8 @@ from pemviz.sampling.estimates.estimators import importance_sampling_estimate
 from pemviz.sampling.method import final_stage, sample_stage
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, FinalBatch, part_sizes
+from pemviz.sampling.state.composed import with_component
+from pemviz.sampling.state.violated import Monitored, Violated
 from pemviz.sampling.zero_variance.frail import FrailModel, build_frail_proposal
 from pemviz.sampling.zero_variance.proposal import (
     DEFENSIVE_STEPS,
@@ -30,7 +32,6 @@ from pemviz.sampling.zero_variance.proposal import (
     with_defence,
 )
 from pemviz.sampling.zero_variance.reachable_states import LARGEST_LAYER, Pause, Unsafe
-from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
 from pemviz.types import Estimate, Simulator, StageResult
 
 
@@ -142,12 +143,14 @@ def require_unsafe(problem: Problem, *, method: str = "zero-variance") -> Unsafe
 
 
 def with_absorbing_violation(problem: Problem) -> Problem:
-    """The problem on a simulator that remembers violations, if the problem says what they are."""
+    """The problem on a system that remembers violations, if the problem says what they are."""
     if problem.unsafe is not None:
-        return replace(problem, simulator=AbsorbingSimulator(problem.simulator, problem.unsafe))
-    if problem.monitor is not None:
-        return replace(problem, simulator=MonitoredSimulator(problem.simulator, problem.monitor))
-    return problem
+        violated = Violated(problem.unsafe)
+    elif problem.monitor is not None:
+        violated = Monitored(problem.monitor)
+    else:
+        return problem
+    return replace(problem, simulator=with_component(problem.simulator, violated))
 
 
 @dataclass(frozen=True)

@@ -41,10 +41,9 @@ from pemviz.sampling.zero_variance.values import (
     log_sum_by,
     solve,
 )
-from pemviz.simulators.absorbing import VIOLATED
 from pemviz.simulators.latents import begun
 from pemviz.simulators.quantised import StartCells, start_cells
-from pemviz.types import Simulator
+from pemviz.types import VIOLATED, Simulator
 
 COARSE_SHARES = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
 NEGLIGIBLE_SHARE = 1e-12

@@ -23,9 +23,9 @@ from pemviz.sampling.zero_variance.unsafe_states import (
     UnsafeStates,
     certain_violation,
 )
-from pemviz.simulators.absorbing import signal_bounds, tells_bounds
 from pemviz.simulators.latents import begun, stepped
 from pemviz.simulators.quantised import start_cells
+from pemviz.simulators.signal_bounds import signal_bounds, tells_bounds
 from pemviz.types import Simulator, StateBatch
 
 Pause = Callable[[], None]

@@ -10,7 +10,7 @@ import numpy as np
 
 from pemviz import stl
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.simulators.absorbing import SignalBounds, signals_reached, tells_reached
+from pemviz.simulators.signal_bounds import SignalBounds, signals_reached, tells_reached
 from pemviz.stl.formulas import Always, And, Constant, Formula, Or, Predicate, Signal
 from pemviz.stl.metric import evaluate
 from pemviz.stl.verdict import BOOLEAN

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.simulators.absorbing import SignalBounds
 from pemviz.simulators.braking.compiled import CompiledRollouts, compiled_loops
 from pemviz.simulators.braking.scenario import (
     EGO_SPEED,
@@ -18,6 +17,7 @@ from pemviz.simulators.braking.scenario import (
     Perceived,
     brakes,
 )
+from pemviz.simulators.signal_bounds import SignalBounds
 from pemviz.types import RolloutBatch, StateBatch
 
 ROUNDING = 1e-3

@@ -34,7 +34,7 @@ from pemviz.simulators.encounters.encounter_signals import (
 from pemviz.simulators.encounters.sight import EncounterSight, FalsePositiveReports
 from pemviz.simulators.measurement_errors import MeasurementNoise, PositionErrors
 from pemviz.simulators.scene import Road, SceneCar, SceneStates, SceneTracks
-from pemviz.simulators.slots import SeenStates, Slot, UnrolledSimulator
+from pemviz.simulators.slots import SIGHT, Slot, UnrolledSimulator
 from pemviz.simulators.tracking.tracker import Tracker, scene_tracks, tracker_of_text
 from pemviz.types import Signal, StateBatch
 
@@ -267,7 +267,7 @@ class LogicalScenario(ABC):
 
     def sight_at(self, states: StateBatch) -> EncounterSight:
         """The same, at states that may know it already."""
-        known = states.sight if isinstance(states, SeenStates) else None
+        known = states.beside.get(SIGHT)
         return known if isinstance(known, EncounterSight) else self.sight(states.signals)
 
     def reacts(self, signals: Mapping[str, FloatArray]) -> BoolArray:

@@ -23,7 +23,7 @@ from pemviz.simulators.encounters.cars import (
 from pemviz.simulators.encounters.encounter_signals import CarStates
 from pemviz.simulators.encounters.scenario import LogicalScenario
 from pemviz.simulators.encounters.sight import FALSE_POSITIVE_GAP, displaced, false_positive_signals
-from pemviz.simulators.slots import SeenStates
+from pemviz.simulators.slots import SIGHT
 from pemviz.types import StateBatch
 
 KEPT_START = "start_"
@@ -134,11 +134,11 @@ class VectorizedEncounters(LogicalScenario):
         if self.has_false_positive:
             found |= false_positive_signals(values[FALSE_POSITIVE_GAP], found[es.EGO_X])
         ahead = es.by_car(STATES_AHEAD, self.cars, states_ahead)
-        return SeenStates(
+        return StateBatch(
             step=states.step + 1,
             signals={signal.name: found[signal.name] for signal in self.signals},
             memory={**kept, **ahead, **remembered, **noises},
-            sight=self.sight_of(cars, found),
+            beside={SIGHT: self.sight_of(cars, found)},
         )
 
     def _measured(

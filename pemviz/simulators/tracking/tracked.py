@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.simulators.absorbing import WrappedSimulator
-from pemviz.simulators.latents import begun, stepped
+from pemviz.simulators.latents import WrappedSimulator, begun, stepped
 from pemviz.simulators.slots import Slot, SlotSimulator
 from pemviz.simulators.tracking.tracker import Tracker, TrackerState
 from pemviz.types import Simulator, StateBatch

@@ -9,13 +9,13 @@ import pytest
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.errors import ConfigError
 from pemviz.pem.models.position_errors import NoiseMemory, constant_errors
-from pemviz.sampling.state.composed import with_last_outcome
-from pemviz.simulators.absorbing import AbsorbingSimulator, MonitoredSimulator
+from pemviz.sampling.state.composed import with_component, with_last_outcome
+from pemviz.sampling.state.violated import Monitored, Violated
 from pemviz.simulators.check import check_simulator
 from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.latents import begun, salient_of, stepped
-from pemviz.simulators.slots import SeenStates, UnrolledSimulator
+from pemviz.simulators.slots import SIGHT, UnrolledSimulator
 from pemviz.stl import FormulaMonitor, parse
 from pemviz.types import StateBatch
 from tests.slot_toys import TwoCars
@@ -75,7 +75,7 @@ def test_what_is_known_of_states_changes_nothing(name):
     simulator = with_last_outcome(unrolled, tau_s=0.2)
     features = EncounterFeatures(unrolled, SCENARIOS[name])
     for states, hits, noise in steps(simulator):
-        assert isinstance(states, SeenStates)
+        assert SIGHT in states.beside
         bare = plain(states)
         np.testing.assert_array_equal(
             salient_of(simulator, states), simulator.salient(states.signals)
@@ -105,20 +105,37 @@ class Counted(TwoCars):
         return super().salient(signals)
 
 
-@pytest.mark.parametrize("wrapped", ["alone", "absorbing", "monitored"])
-def test_a_scenario_is_asked_once_a_step(wrapped):
-    """In the turns of all slots together, whatever wraps it."""
+@pytest.mark.parametrize("remembers", ["nothing", "states", "monitor"])
+def test_a_scenario_is_asked_once_a_step(remembers):
+    """In the turns of all slots together, whatever is remembered of violations."""
     cars = Counted()
     simulator = with_last_outcome(UnrolledSimulator(cars), tau_s=0.2)
     rule = parse("always[0,3] (gap_a >= 0.5)")
-    if wrapped == "absorbing":
-        simulator = AbsorbingSimulator(simulator, lambda states: states.signals["gap_a"] < 0.5)
-    elif wrapped == "monitored":
-        simulator = MonitoredSimulator(simulator, FormulaMonitor(rule))
+    if remembers == "states":
+        violated = Violated(lambda states: states.signals["gap_a"] < 0.5)
+        simulator = with_component(simulator, violated)
+    elif remembers == "monitor":
+        simulator = with_component(simulator, Monitored(FormulaMonitor(rule)))
     for states, *_ in steps(simulator, count=3):
         salient_of(simulator, states)
     assert cars.asked.count("salient") == cars.states - 1
     assert cars.asked.count("present") == cars.states
+
+
+@dataclass(frozen=True)
+class ChangesWhatItIsGiven(TwoCars):
+    """It hands on whatever it does not change."""
+
+    def step(self, states, detected):
+        after = super().step(states, detected)
+        return replace(states, step=after.step, signals=after.signals)
+
+
+def test_what_was_seen_before_is_not_taken_for_what_is_seen_after():
+    one, other = (UnrolledSimulator(cars()) for cars in (TwoCars, ChangesWhatItIsGiven))
+    for (states, *_), (like, *_) in zip(steps(one), steps(other), strict=True):
+        assert_same(states, like)
+        np.testing.assert_array_equal(salient_of(one, states), salient_of(other, like))
 
 
 @dataclass(frozen=True)
