@@ -204,7 +204,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.runs.engine import run_experiment
 
 result = run_experiment(
-    ExperimentConfig(method="naive", final_rollouts=20, plan=False, measured_memory=False)
+    ExperimentConfig(method="naive", final_rollouts=20, measured_memory=False)
 )
 assert result.status == "done", result
 assert result.estimate.failures > 0

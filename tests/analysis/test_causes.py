@@ -206,7 +206,7 @@ def test_elasticity_is_the_derivative_of_the_binomial_tail(toy_problem):
 
 def test_a_run_explains_itself():
     config = ExperimentConfig(
-        method="naive", final_rollouts=200, target=1e-60, measured_memory=False, plan=False
+        method="naive", final_rollouts=200, target=1e-60, measured_memory=False
     )
     result = run_experiment(config)
     assert result.explanation is not None
@@ -221,7 +221,7 @@ def test_a_run_explains_itself():
 
 def test_nothing_is_explained_where_nothing_failed():
     result = run_experiment(
-        ExperimentConfig(method="monte-carlo", final_rollouts=50, measured_memory=False, plan=False)
+        ExperimentConfig(method="monte-carlo", final_rollouts=50, measured_memory=False)
     )
     assert result.explanation is None
     assert result_document(result)["sensitivity"] is None

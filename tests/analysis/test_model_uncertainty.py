@@ -96,7 +96,7 @@ def test_repetitions_are_pooled_by_their_mean(scored):
 
 def test_the_default_scenario_is_told_to_extrapolate():
     result = run_experiment(
-        ExperimentConfig(method="naive", final_rollouts=50, measured_memory=False, plan=False)
+        ExperimentConfig(method="naive", final_rollouts=50, measured_memory=False)
     )
     text = " ".join(result.warnings)
     assert "no training obstacle" in text
@@ -110,9 +110,7 @@ def test_the_default_scenario_is_told_to_extrapolate():
 
 def test_the_reference_stands_beside_the_estimate():
     result = run_experiment(
-        ExperimentConfig(
-            method="naive", final_rollouts=50, reference=True, measured_memory=False, plan=False
-        )
+        ExperimentConfig(method="naive", final_rollouts=50, reference=True, measured_memory=False)
     )
     assert result.reference is not None
     # exact recursion over the reachable states: log mu = -32.3785

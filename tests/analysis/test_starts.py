@@ -177,7 +177,5 @@ def test_too_few_violations_tell_nothing():
 
 
 def test_a_scenario_that_names_none_tells_none():
-    config = pemviz.ExperimentConfig(
-        method="naive", final_rollouts=20, measured_memory=False, plan=False
-    )
+    config = pemviz.ExperimentConfig(method="naive", final_rollouts=20, measured_memory=False)
     assert "starts" not in result_document(pemviz.run_experiment(config))

@@ -45,7 +45,6 @@ def test_both_displays_go_from_nothing_to_the_whole(method):
         rollouts=20,
         final_rollouts=30,
         repetitions=2,
-        plan=False,
         measured_memory=False,
     )
     displays = Displays()
@@ -64,7 +63,7 @@ def test_what_is_counted_is_said():
 def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch):
     config = ExperimentConfig(
         method="mixture", scenario=EASY, spec="always[0,44] (gap >= 7.0)",
-        stages=10, rollouts=4, final_rollouts=4, plan=False, measured_memory=False,
+        stages=10, rollouts=4, final_rollouts=4, measured_memory=False,
     )  # fmt: skip
     for silent_s, told in ((30.0, [2, 5, 8, 11]), (-1.0, list(range(12)))):
         monkeypatch.setattr("pemviz.cli.progress.SILENT_S", silent_s)

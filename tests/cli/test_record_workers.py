@@ -6,8 +6,8 @@ import pytest
 
 from pemviz.cli.main import main
 
-HIGHWAY = ["--no-plan", "--simulator", "highway-env", "--stages", "1", "--rollouts", "12",
-           "--final-rollouts", "12", "--epochs", "2", "--no-recording", "--json",
+HIGHWAY = ["--method", "mixture", "--no-plan", "--simulator", "highway-env", "--stages", "1",
+           "--rollouts", "12", "--final-rollouts", "12", "--no-recording", "--json",
            "--no-measured-memory"]  # fmt: skip
 
 

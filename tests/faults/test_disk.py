@@ -20,7 +20,6 @@ stages = 2
 rollouts = 40
 final_rollouts = 500
 measured_memory = false
-plan = false
 """
 LARGEST_FILE = 600_000  # a stage of 40 rollouts takes 0.2 MB, the final one 2.6 MB
 

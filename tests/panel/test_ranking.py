@@ -197,8 +197,8 @@ def test_a_stored_run_without_a_rules_column_is_refused(naive_run):
 def test_weights_and_shares_count_latents(controller):
     """Measured distances err: what moved their noise is part of a rollout's weight."""
     config = ExperimentConfig(
-        method="mixture", stages=2, rollouts=60, final_rollouts=60, seed=5,
-        position_errors="pointpillars", plan=False,
+        method="mixture", stages=2, rollouts=60, final_rollouts=60, seed=5, chains=0,
+        position_errors="pointpillars",
     )  # fmt: skip
     controller.start(config)
     run = wait_until(controller).run

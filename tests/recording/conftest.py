@@ -20,7 +20,6 @@ LEARNING = ExperimentConfig(
     final_rollouts=60,
     epochs=20,
     measured_memory=False,
-    plan=False,
 )
 
 

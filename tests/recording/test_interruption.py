@@ -38,7 +38,7 @@ class Killer:
 
 run_experiment(
     ExperimentConfig(method="adaptive", stages=3, rollouts=20, final_rollouts=20, epochs=2,
-    measured_memory=False, plan=False),
+    measured_memory=False),
     observers=[Recorder(Path(sys.argv[1])), Killer()],
 )
 """

@@ -109,7 +109,6 @@ def stages_of(method):
         final_rollouts=200,
         epochs=50,
         seed=3,
-        plan=False,
         measured_memory=False,
     )
     experiment = build_experiment(config)

@@ -135,9 +135,7 @@ def test_a_curve_is_drawn_through_its_points(draw, points, curve):
 
 def test_rollouts_and_proposals_are_drawn_of_the_stages_that_were_kept():
     kept = KeptStages()
-    config = ExperimentConfig(
-        method="naive", final_rollouts=40, seed=2, measured_memory=False, plan=False
-    )
+    config = ExperimentConfig(method="naive", final_rollouts=40, seed=2, measured_memory=False)
     run_experiment(config, observers=[kept])
     (stage,) = kept.stages
     (axes,) = figures.robustness_distribution(stages=kept.stages).axes

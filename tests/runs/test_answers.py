@@ -157,7 +157,7 @@ def test_answers_with_measured_memories_are_right():
 def test_a_run_looks_unless_it_is_told_not_to(looked_at):
     """However few rollouts the run has, what it says of other memories is right within 40 %."""
     config = ExperimentConfig(
-        method="monte-carlo", final_rollouts=50, measured_memory=looked_at, plan=False
+        method="monte-carlo", final_rollouts=50, measured_memory=looked_at
     ).with_rules({"contact": "always[0,99] (gap >= 0.0)", "gap": "always[0,99] (gap >= 2.0)"})
     memory = run_experiment(config).memory
     assert bool(memory.measured) == looked_at
@@ -169,8 +169,7 @@ def test_a_run_looks_unless_it_is_told_not_to(looked_at):
 def test_refits_answer_every_rule():
     """Contact is a gap below 2 m too: refits of the wider rule are those of any of both."""
     config = ExperimentConfig(
-        method="mixture", rollouts=20, stages=3, final_rollouts=200, plan=False,
-        measured_memory=False,
+        method="mixture", rollouts=20, stages=3, final_rollouts=200, measured_memory=False
     ).with_rules(
         {"contact": "always[0,99] (gap >= 0.0)", "gap": "always[0,99] (gap >= 2.0)",
          "far": "always[0,99] (gap >= -1000.0)"}

@@ -23,7 +23,7 @@ from pemviz.runs.uncertainty import run_diagnostics, uncertainty_budget
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.zero_variance.reference import Reference
 
-CONFIG = ExperimentConfig(method="naive", final_rollouts=60, measured_memory=False, plan=False)
+CONFIG = ExperimentConfig(method="naive", final_rollouts=60, measured_memory=False)
 
 
 @pytest.fixture(scope="module")

@@ -119,7 +119,7 @@ def test_every_place_tells_it_and_what_it_assumes(of, words, capsys):
 
 
 def test_a_run_tells_it_and_nothing_else_of_it_changes():
-    asked = ExperimentConfig(method="naive", final_rollouts=40, measured_memory=False, plan=False)
+    asked = ExperimentConfig(method="naive", final_rollouts=40, measured_memory=False)
     plain, hourly_run = (
         run_experiment(asked),
         run_experiment(replace(asked, encounters_per_hour=2.0)),

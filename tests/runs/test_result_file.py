@@ -67,7 +67,7 @@ OTHER_TYPE = {
 
 TINY = ExperimentConfig(method="adaptive",
     stages=1, rollouts=20, final_rollouts=30, epochs=2, seed=3, spec="always[0,11] (gap >= 2.0)",
-    scenario=ScenarioConfig(states=12, dt_s=0.4), plan=False, measured_memory=False,
+    scenario=ScenarioConfig(states=12, dt_s=0.4), measured_memory=False,
 )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_the_sample_run_is_read_and_written_to_the_same_document(tmp_path):
             reference=True,
             target=1e-20,
             repetitions=2,
-            plan=True,
+            plan=True,  # mixture with all that a run can tell
             measured_memory=True,
         ),
     ],
@@ -346,7 +346,7 @@ def test_a_file_without_an_end_is_not_read_to_its_end(tmp_path, monkeypatch):
 
 
 SIZES = {
-    "stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5, "plan": False,
+    "stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5,
     "measured_memory": False,
 }  # fmt: skip
 

@@ -74,7 +74,6 @@ def short_run(name: str) -> tuple[Experiment, Heard, int]:
         final_rollouts=60,
         epochs=20,
         seed=3,
-        plan=False,
         measured_memory=False,
     )
     experiment = build_experiment(config)

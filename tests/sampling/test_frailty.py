@@ -247,7 +247,6 @@ def test_rollouts_do_not_depend_on_how_many_are_drawn_together():
 SHORT = ExperimentConfig(
     method="mixture", stages=2, rollouts=40, final_rollouts=60, memory_s=0.2, frailty=0.5, seed=3,
     spec="always[0,59] (gap >= 6.0)", scenario=ScenarioConfig(states=60), measured_memory=False,
-    plan=False,
 )  # fmt: skip
 
 

@@ -208,7 +208,7 @@ def test_ones_own_simulator_and_detector_remember_too():
 SHORT = ExperimentConfig(
     method="mixture", stages=2, rollouts=40, final_rollouts=60, memory_s=0.2, seed=3,
     epochs=20, spec="always[0,59] (gap >= 6.0)", scenario=ScenarioConfig(states=60),
-    measured_memory=False, plan=False,
+    measured_memory=False,
 )  # fmt: skip
 
 

@@ -66,7 +66,7 @@ def test_a_specification_that_nothing_violates_has_a_curve_of_zeros():
 
 SHORT = ExperimentConfig(
     method="naive", final_rollouts=40, spec="always[0,29] (gap >= 9.0)", memory_curve=True,
-    measured_memory=False, plan=False,
+    measured_memory=False,
     scenario=replace(ExperimentConfig().scenario, states=30, initial_gap_m=10.5),
 )  # fmt: skip
 

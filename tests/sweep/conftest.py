@@ -14,7 +14,6 @@ stages = 2
 rollouts = 20
 final_rollouts = 20
 measured_memory = false
-plan = false
 epochs = 20
 seed = 3
 """

@@ -27,7 +27,7 @@ from pemviz.sweep.tables import rows
 from pemviz.sweep.workers import LocalWorkers
 from tests.comparable_results import comparable, comparable_result
 
-NAIVE = ExperimentConfig(method="naive", final_rollouts=20, measured_memory=False, plan=False)
+NAIVE = ExperimentConfig(method="naive", final_rollouts=20, measured_memory=False)
 MODELS = {("ml-nn", None): ModelFiles()}
 
 
@@ -188,7 +188,7 @@ def test_torch_has_one_thread_whether_it_is_imported_before_or_after():
 @pytest.mark.slow
 def test_a_process_that_is_killed_costs_one_attempt_of_its_own_run(tmp_path):
     slow = ExperimentConfig(
-        method="adaptive", stages=2, rollouts=20, final_rollouts=20, epochs=1500, plan=False
+        method="adaptive", stages=2, rollouts=20, final_rollouts=20, epochs=1500
     )
     plan = make_plan(slow, [parse_variation("alpha=0.1,0.5")], seeds=2)
     reports = []
