@@ -314,6 +314,7 @@ DiagnosticKind = Literal[
     "few-ancestors",
     "wide-interval",
     "not-absorbing",
+    "not-repeatable",
     "called-safe",
     "parts-disagree",
     "exploration-alone",

@@ -44,7 +44,7 @@ def estimate_html(estimate: Estimate) -> str:
     caveats = interval_caveats(estimate)
     called = interval_name(estimate, caveats=caveats)
     # an estimate does not know of latents: what serves with them serves without
-    better = remedy(estimate.method, latents=True)
+    better = remedy(estimate.method, latents=True, diagnostics=estimate.diagnostics)
     said = (
         Headline(f"Failure probability {short_probability(estimate)}"),
         Paragraph(f"{called} {interval_text(estimate, caveats=caveats)}, sampling alone"),

@@ -26,9 +26,11 @@ from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
 from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
 from pemviz.runs.specification import may_leave_bounds
+from pemviz.sampling.estimates.diagnostics import not_repeatable
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
 from pemviz.sampling.method import AnswersRules, Method
+from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
 from pemviz.simulators.latents import latent_counts
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
@@ -186,7 +188,7 @@ class _Runner:
 
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
-        state, stage = method.init(problem, repetition=repetition), 0
+        state, stage, repeats = method.init(problem, repetition=repetition), 0, Repeats()
 
         def progress(done: int, total: int) -> None:
             self._notify(
@@ -198,6 +200,7 @@ class _Runner:
         while not method.is_done(state):
             self._at = repetition, stage
             state, result = method.step(watched, state)
+            repeats += repeat_some(problem, result.scored)
             self._at = None
             self._notify_of_stage(result)
             for interpreted in interpret(
@@ -208,9 +211,11 @@ class _Runner:
         self._interpreted = interpret_repetition(
             self._interpreted, experiment=self._experiment, state=state
         )
-        estimate, rules = method.estimate(state), self._experiment.config.rules
+        rules = self._experiment.config.rules
+        estimate = _noted(method.estimate(state), repeats)
         estimates = (*self._interpreted.result.repetitions, estimate)
-        self._by_rule.append(estimates_by_rule(method, state, rules))
+        by_rule = estimates_by_rule(method, state, rules)
+        self._by_rule.append({name: _noted(found, repeats) for name, found in by_rule.items()})
         answers: list[RuleAnswer] = []
         for rule in rules:
             whole = summarise_repetitions([found[rule.name] for found in self._by_rule])
@@ -261,6 +266,14 @@ class _Runner:
         timed = replace(result, timings_s={**result.timings_s, "total": total_s})
         self._interpreted = replace(self._interpreted, result=timed)
         return timed
+
+
+def _noted(estimate: Estimate, repeats: Repeats) -> Estimate:
+    """The estimate with what is wrong where rollouts were not the same again."""
+    found = not_repeatable(
+        repeated=repeats.count, differing=repeats.differing, example=repeats.example
+    )
+    return replace(estimate, diagnostics=(*found, *estimate.diagnostics))
 
 
 def _frozen(scored: ScoredRollouts) -> ScoredRollouts:

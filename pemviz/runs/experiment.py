@@ -26,6 +26,7 @@ from pemviz.sampling.folding import Folding, folding_of
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
+from pemviz.sampling.rollouts.repeat import LOGIT_ROUNDING
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import with_slots
 from pemviz.sampling.state.composed import as_member, composed, properties_of_memory
@@ -290,6 +291,14 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
         raise ConfigError(
             f"{where}: logit is {odd}: must be a finite number; 40 or -40 is as good as certain"
         )
+    for again, of_whom in ((pem.logit(salient), logit), (pem.logit(salient[:1]), logit[:1])):
+        differs = np.abs(np.asarray(again) - of_whom)
+        if not (differs <= LOGIT_ROUNDING).all():
+            place = np.unravel_index(int(differs.argmax()), differs.shape)
+            raise ConfigError(
+                f"{where}: logit is {of_whom[place]:.6g}, and {again[place]:.6g} when it is asked "
+                "again: must depend on the salient variables of its row alone"
+            )
     low, high = float(logit.min()), float(logit.max())
     if low < 0.0 or high > 1.0:
         return ()

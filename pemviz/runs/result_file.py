@@ -215,7 +215,8 @@ def _estimate_table(
 ) -> Table:
     table = _fields_of(estimate)
     against = interval_caveats(estimate) if caveats is None else caveats
-    better = remedy(result.config.method, latents=result.latents is not None)
+    latents, wrong = result.latents is not None, estimate.diagnostics
+    better = remedy(result.config.method, latents=latents, diagnostics=wrong)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
     return {

@@ -56,7 +56,12 @@ def run_remedy(result: RunResult) -> str | None:
     doubted = any(interval_caveats(rule) for rule in rules if rule.ci_low is not None)
     if estimate is None or not (doubted or run_interval_caveats(result)):
         return None
-    return remedy(result.config.method, latents=result.latents is not None)
+    return _remedy(result)
+
+
+def _remedy(result: RunResult) -> str:
+    latents, wrong = result.latents is not None, run_diagnostics(result)
+    return remedy(result.config.method, latents=latents, diagnostics=wrong)
 
 
 def data_warnings(result: RunResult) -> tuple[str, ...]:
@@ -99,7 +104,7 @@ def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
 def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  checked before
-    better = remedy(result.config.method, latents=result.latents is not None)
+    better = _remedy(result)
     yield UncertaintySource(
         kind="sampling",
         name=f"sampling, {'not a ' if caveats else ''}{100.0 * estimate.confidence:g} % interval",

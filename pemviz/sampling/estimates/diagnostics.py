@@ -37,6 +37,7 @@ class Meaning:
             their mean.
         reason: Why nothing may be decided by the estimate, with its ``value``; ``None``: the text.
         worst: The least favourable of several values.
+        remedy: What to do about it, whatever the method; ``None``: what its method says.
     """
 
     phrase: str
@@ -44,6 +45,7 @@ class Meaning:
     in_repetitions: str | None = None
     reason: str | None = None
     worst: Callable[[Iterable[float]], float] = max
+    remedy: str | None = None
 
 
 NOTHING: frozenset[IntervalBasis] = frozenset()
@@ -52,6 +54,14 @@ ALL: frozenset[IntervalBasis] = frozenset(("counts", "weights", "runs"))
 ALL_BUT_COUNTS = ALL - {"counts"}
 
 MEANINGS: Mapping[DiagnosticKind, Meaning] = {
+    # a count too: nothing says that what else decided is random as it would be on the road
+    "not-repeatable": Meaning(
+        phrase="simulated again went otherwise",
+        undermines=ALL,
+        in_repetitions="rollouts that were simulated again went otherwise",
+        reason="{:.0%} of the rollouts that were simulated again went otherwise",
+        remedy="make the same outcomes give the same rollout; declare as latents what is random",
+    ),
     "no-failure": Meaning(
         phrase="no failure",
         undermines=ALL_BUT_COUNTS,
@@ -302,6 +312,14 @@ def plain_disagreement(
         f"they put the probability between {low:.2g} and {high:.2g}"
     )
     return (Diagnostic("plain-disagrees", failures / rollouts, high, text),)
+
+
+def not_repeatable(*, repeated: int, differing: int, example: str) -> Sequence[Diagnostic]:
+    """Of any estimate, by rollouts that were simulated a second time; an ``example`` in words."""
+    if differing == 0:
+        return ()
+    text = f"{differing} of {repeated} rollouts simulated again went otherwise ({example})"
+    return (Diagnostic("not-repeatable", differing / repeated, 0.0, text),)
 
 
 def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnostic]:

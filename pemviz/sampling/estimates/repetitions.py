@@ -59,12 +59,14 @@ def _diagnostics(
     """Counts are pooled and judged as one; weights and runs are judged repetition by repetition."""
     if upper is None or not _all_rest_on("counts", estimates):
         return repetition_diagnostics(estimates, log10_probability=log10_probability)
-    return count_diagnostics(
+    pooled = count_diagnostics(
         failures=sum(estimate.failures for estimate in estimates),
         rollouts=sum(estimate.rollouts_in_estimate for estimate in estimates),
         upper=upper,
         confidence=CONFIDENCE,
     )
+    each = repetition_diagnostics(estimates, log10_probability=log10_probability)
+    return (*(one for one in each if one.kind == "not-repeatable"), *pooled)
 
 
 def _all_rest_on(basis: IntervalBasis, estimates: Sequence[Estimate]) -> bool:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pemviz.errors import ConfigError
 from pemviz.sampling.description import MethodDescription, StageInterval
 from pemviz.sampling.estimates.diagnostics import (
+    MEANINGS,
     IntervalBasis,
     reason,
     undermining,
@@ -39,11 +40,16 @@ def interval_caveats(
     return caveats(wrong, method=estimate.method)
 
 
-def remedy(method: str, *, latents: bool = False) -> str:
+def remedy(method: str, *, latents: bool = False, diagnostics: Iterable[Diagnostic] = ()) -> str:
     """What to try where an answer of ``method`` is not to be trusted, in words.
+
+    What one of its ``diagnostics`` says comes before what the method does.
 
     With ``latents`` no method runs through the scenario's states.
     """
+    for one in diagnostics:
+        if (known := MEANINGS[one.kind].remedy) is not None:
+            return known
     described = _description(method)
     if described is None:
         return "another method"
