@@ -42,7 +42,7 @@ def causes_line(explanation: Explanation) -> str:
         for band in explanation.misses_by_distance
         if band.misses > SMALLEST_SHOWN
     ]
-    total = sum(band.misses for band in explanation.misses_by_distance)
+    total = sum(explanation.miss_probability_by_step)  # where there is no gap, there are no bands
     where = f" ({', '.join(bands)})" if bands else ""
     return f"Misses that matter in a violation: {total:.1f}{where}"
 

@@ -8,7 +8,7 @@ import pytest
 from pemviz.charts.svg import svg
 from pemviz.config import ExperimentConfig
 from pemviz.recording.text import answer_text
-from pemviz.reports.causes_words import burst_lines, burst_table, elasticity_text
+from pemviz.reports.causes_words import burst_lines, burst_table, causes_line, elasticity_text
 from pemviz.reports.charts import requirement_chart
 from pemviz.reports.estimate_words import digits_of, end_text, reference_text
 from pemviz.reports.gate import decide_run
@@ -91,6 +91,11 @@ def test_every_report_tells_of_a_disagreement_and_the_gate_cannot_be_decided(cap
 
 LENGTH = "0.75 s (15 frames; four of five violations: 10 to 23)"
 BEGINS = "at 9.0 (7.1 to 11.4) m, 2.05 (1.60 to 2.55) s after the start"
+
+
+def test_misses_are_counted_where_nothing_is_called_a_gap():
+    found = replace(EXPLANATION, misses_by_distance=(), miss_probability_by_step=(0.5, 1.0, 0.75))
+    assert causes_line(found) == "Misses that matter in a violation: 2.2"
 
 
 def test_a_sentence_each_on_bursts_and_on_what_would_help():

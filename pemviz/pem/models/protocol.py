@@ -76,7 +76,7 @@ class OwnPem:
     name: str
     digest: str = ""
     """Nothing: a hash of code says nothing about what it answers."""
-    data: str = "not stated: a model of the user's own"
+    data: str = "data that it does not name (a model of the user's own)"
     licence: str = "not stated"
 
     def logit(self, salient: FloatArray) -> FloatArray:
