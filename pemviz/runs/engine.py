@@ -127,6 +127,7 @@ class _Runner:
         self._began = time.perf_counter()
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self._by_rule: list[Mapping[str, Estimate]] = []
+        self._repeats = Repeats()
         self._at: tuple[int, int] | None = None
         self._observers_error: BaseException | None = None
         self.complete = False
@@ -146,9 +147,22 @@ class _Runner:
         )
         for repetition in range(experiment.config.repetitions):
             self._repeat(repetition)
+        experiment = replace(experiment, twin_doubt=self._twin_doubt())
         for add in supplements.IN_ORDER:
             self._keep(add(self._interpreted.result, experiment=experiment))
         self.complete = True
+
+    def _twin_doubt(self) -> str:
+        """What is wrong with all that a fast twin tells; a warning of the result too."""
+        found, result = self._repeats, self._interpreted.result
+        if found.twin_differing == 0:
+            return ""
+        doubt = (
+            f"the fast twin is another system: its verdict on {found.twin_differing} of "
+            f"{found.on_twin} rollouts with the same outcomes is not the simulator's"
+        )
+        self._keep(replace(result, warnings=(*result.warnings, doubt)))
+        return doubt
 
     def finish(self, status: Any) -> RunResult:
         result = self._keep(replace(self._interpreted.result, status=status))
@@ -200,7 +214,7 @@ class _Runner:
         while not method.is_done(state):
             self._at = repetition, stage
             state, result = method.step(watched, state)
-            repeats += repeat_some(problem, result.scored)
+            repeats += repeat_some(problem, result.scored, twin=self._experiment.twin)
             self._at = None
             self._notify_of_stage(result)
             for interpreted in interpret(
@@ -211,6 +225,7 @@ class _Runner:
         self._interpreted = interpret_repetition(
             self._interpreted, experiment=self._experiment, state=state
         )
+        self._repeats += repeats
         rules = self._experiment.config.rules
         estimate = _noted(method.estimate(state), repeats)
         estimates = (*self._interpreted.result.repetitions, estimate)

@@ -54,6 +54,7 @@ class Experiment:
         planned_rollouts: How many rollouts all repetitions take together; with splitting, how
             many particles.
         warnings: What looks wrong with the parts, but may be meant.
+        twin_doubt: What is wrong with the twin, once rollouts were compared; empty if nothing.
     """
 
     config: ExperimentConfig
@@ -65,6 +66,7 @@ class Experiment:
     planned_rollouts: int
     model_classes: tuple[Pem, ...] = ()
     warnings: tuple[str, ...] = ()
+    twin_doubt: str = ""
 
     @property
     def pem(self) -> Pem:

@@ -101,7 +101,7 @@ def _with_curves(result: RunResult, *, experiment: Experiment) -> RunResult:
     pem, back_end = own_pem(experiment.pem), experiment.back_end.scenario_alone
     problem = experiment.problem.without_rules()
     problem = replace(problem, simulator=back_end.simulator, pem=pem, finished=nothing_finished)
-    if back_end.twin is not None:
+    if back_end.twin is not None and not experiment.twin_doubt:
         problem = replace(problem, simulator=back_end.twin, run_batches=run_here)
     fitted = memory.fitted
     measured = () if fitted is None else (fitted.tau_s,)
@@ -157,7 +157,7 @@ def _unmeasured_because(experiment: Experiment) -> str | None:
     twin = experiment.back_end.scenario_alone.twin
     if twin is None or latent_counts(twin):
         return "not without a fast twin whose start is fixed; --memory-curve may tell"
-    return None
+    return experiment.twin_doubt or None
 
 
 def measured_memories(memory: RunMemory) -> Sequence[tuple[str, Memory]]:
@@ -235,7 +235,7 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     if twin is not None and experiment.config.reference:
         found = reference(problem, twin=twin)
     elif twin is not None:
-        found = reference_of_few_states(problem, twin=twin)
+        found = None if experiment.twin_doubt else reference_of_few_states(problem, twin=twin)
     elif not _states_are_numbers(problem.simulator):
         return result
     else:

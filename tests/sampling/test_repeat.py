@@ -52,10 +52,10 @@ class Tires(ToyPem):
         return super().logit(salient) + (0.5 if len(self.asked) > self.after else 0.0)
 
 
-def built(simulator=None, pem=None, **settings):
+def built(simulator=None, pem=None, twin=None, **settings):
     config = pemviz.ExperimentConfig(**{"spec": SPEC, "seed": 3, **QUICK, **settings})
     simulator = ToySimulator() if simulator is None else simulator
-    return pemviz.build_experiment(config, simulator=simulator, pem=pem or ToyPem())
+    return pemviz.build_experiment(config, simulator=simulator, pem=pem or ToyPem(), twin=twin)
 
 
 def of_not_repeatable(estimate):
@@ -121,6 +121,19 @@ def test_counts_of_several_repetitions_and_each_rule_are_told_it_too():
     result = pemviz.run(built(Wanders(), rules=rules, spec=spec, **settings))
     assert "in 2 of 2 repetitions" in of_not_repeatable(result.estimate)[0].text
     assert all(of_not_repeatable(rule.estimate) for rule in result.rules)
+
+
+@pytest.mark.parametrize(
+    ("twin", "other"), [(ToySimulator(), ""), (ToySimulator(initial_gap=6), "is another system")]
+)
+def test_nothing_is_told_by_a_twin_that_is_another_system(twin, other):
+    settings = {"method": "mixture", "measured_memory": True}
+    result = pemviz.run(built(twin=twin, **settings))
+    assert of_not_repeatable(result.estimate) == []
+    assert len(result.memory.measured) == (0 if other else 2)
+    assert other in result.memory.unmeasured
+    assert any("fast twin is another" in warning for warning in result.warnings) == bool(other)
+    assert (result.reference is None) == bool(other)
 
 
 @dataclass(frozen=True)

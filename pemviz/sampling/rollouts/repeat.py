@@ -1,24 +1,27 @@
-"""Whether rollouts are the same again: some of a stage are simulated a second time.
+"""Whether rollouts are the same again, and on a fast twin: some are simulated a second time.
 
 Weights and causes take for granted that outcomes and latents decide a rollout, and that the error
 model answers the same to the same state. Randomness of a simulator's own, too rare for the trial
 before a run, or a model that remembers what it was asked, would make an answer wrong without a
-trace: in what is drawn once it cannot be seen.
+trace: in what is drawn once it cannot be seen. The same of a twin that is another system, of which
+memories of misses and what the data allow are told.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.latents import Latents, StandardNormals
-from pemviz.sampling.problem import Problem, in_time
+from pemviz.sampling.problem import Problem, in_time, score
 from pemviz.sampling.rollouts.runners import BatchTask
+from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import ROUNDING
-from pemviz.types import RolloutBatch, ScoredRollouts, StateBatch
+from pemviz.simulators.quantised import start_cells
+from pemviz.types import RolloutBatch, ScoredRollouts, Simulator, StateBatch
 
 SHARE = 0.02
 """Of a stage's rollouts."""
@@ -36,30 +39,39 @@ class Repeats:
         count: How many.
         differing: How many of them went otherwise.
         example: What differed in the first of these, in words; empty if none did.
+        on_twin: How many were simulated on a twin too.
+        twin_differing: Of how many of these the verdict is another there.
     """
 
     count: int = 0
     differing: int = 0
     example: str = ""
+    on_twin: int = 0
+    twin_differing: int = 0
 
     def __add__(self, other: "Repeats") -> "Repeats":
         return Repeats(
             self.count + other.count,
             self.differing + other.differing,
             self.example or other.example,
+            self.on_twin + other.on_twin,
+            self.twin_differing + other.twin_differing,
         )
 
 
-def repeat_some(problem: Problem, scored: ScoredRollouts) -> Repeats:
+def repeat_some(
+    problem: Problem, scored: ScoredRollouts, *, twin: Simulator | None = None
+) -> Repeats:
     """Simulate a share of a stage's rollouts again, with the same outcomes and latents.
 
     Half of them are the violations that weigh most, as they carry the answer; the others lie evenly
-    over the stage.
+    over the stage. On a ``twin`` whose start is the simulator's, they are simulated too.
 
     Raises:
         SimulationError: What is simulated raises something, or takes too long.
     """
-    once = scored.rollouts.take(_chosen(scored))
+    some = scored.take(_chosen(scored))
+    once = some.rollouts
     task = BatchTask(
         _GivenOutcomes(once.detected),
         np.full(once.detected.shape, 0.5),
@@ -69,7 +81,14 @@ def repeat_some(problem: Problem, scored: ScoredRollouts) -> Repeats:
         again = in_time(
             problem, lambda: next(problem.run_batches(problem.simulator, problem.pem, iter([task])))
         )
-    return _compared(problem, once, again)
+    found = _compared(problem, once, again)
+    if twin is None or start_cells(twin) != start_cells(problem.simulator):
+        return found
+    start = None if once.latents is None else once.latents.start
+    signals = replay(simulator=twin, detected=once.detected, start=start)
+    verdicts = score(problem.without_rules(), replace(once, signals=signals)).violated
+    differing = int(np.count_nonzero(verdicts != some.violated))
+    return replace(found, on_twin=once.count, twin_differing=differing)
 
 
 @dataclass(frozen=True)
