@@ -78,7 +78,7 @@ def plain_road(config: ScenarioConfig) -> "Road":
     """Two of highway-env's own vehicles at the scenario's start: the yardstick for our costs."""
     from highway_env.vehicle.kinematics import Vehicle  # noqa: PLC0415  starts pygame
 
-    from pemviz.simulators.braking.highway_env_scenario import straight_road  # noqa: PLC0415
+    from pemviz.simulators.highway_env_cars import straight_road  # noqa: PLC0415
 
     road = straight_road(config)
     distance_m = config.initial_gap_m + Vehicle.LENGTH

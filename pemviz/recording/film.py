@@ -54,7 +54,10 @@ def import_filming(config: ExperimentConfig) -> None:
 def _frames(
     track: Track, config: ExperimentConfig, simulator: Simulator | SlotSimulator
 ) -> Iterator[AnyArray]:
-    from pemviz.simulators.braking.highway import faded, frames  # noqa: PLC0415  pulls in pygame
+    from pemviz.simulators.braking.highway_env_scenario import (  # noqa: PLC0415  pulls in pygame
+        faded,
+        frames,
+    )
 
     if config.encounter.logical_scenario == NO_LOGICAL_SCENARIO:
         yield from frames(config.scenario, detected=track.outcomes)

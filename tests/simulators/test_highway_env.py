@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -13,14 +14,10 @@ from benchmarks.simulators import plain_road
 from pemviz.config import ScenarioConfig
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.braking import highway_env_scenario
-from pemviz.simulators.braking.highway import HighwaySimulator, frames
-from pemviz.simulators.braking.highway_env_scenario import (
-    EGO_RGB,
-    ENVIRONMENT_ID,
-    LEAD_RGB,
-    BrakingEnv,
-)
+from pemviz.simulators.braking.highway import HighwaySimulator
+from pemviz.simulators.braking.highway_env_scenario import ENVIRONMENT_ID, BrakingEnv, frames
 from pemviz.simulators.braking.scenario import EGO_SPEED, GAP, LEAD_SPEED
+from pemviz.simulators.highway_env_cars import EGO_RGB, LEAD_RGB
 
 ROAD_RGB = (100, 100, 100)
 LINE_RGB = (255, 255, 255)
@@ -82,20 +79,14 @@ def test_episode_equals_a_rollout(scenario: ScenarioConfig) -> None:
         np.testing.assert_allclose(got, expected[name][0], rtol=0, atol=1e-9)
 
 
-def test_loaded_state_is_read_back_to_the_last_digit() -> None:
-    environment = BrakingEnv()
-    rng = np.random.default_rng(5)
-    for _ in range(50):
-        state = environment.state._replace(
-            step=int(rng.integers(100)),
-            gap_m=float(rng.normal(0, 20)),
-            ego_speed_mps=float(rng.uniform(0, 40)),
-            lead_speed_mps=float(rng.uniform(0, 40)),
-            speed_error_integral_m=float(rng.normal()),
-        )
-        environment.advance(detected=True)
-        environment.load(state)
-        assert environment.state == state
+def test_where_cars_stand_is_read_back_to_the_last_digit() -> None:
+    simulator, rng = HighwaySimulator(ScenarioConfig()), np.random.default_rng(5)
+    states = simulator.initial(count=50)
+    gap_m, stands_mps = rng.normal(0, 20, 50), np.zeros(50)
+    signals = {GAP: gap_m, EGO_SPEED: stands_mps, LEAD_SPEED: stands_mps}
+    after = simulator.step(replace(states, signals=signals), rng.random(50) < 0.5)
+    np.testing.assert_array_equal(after.signals[GAP], gap_m)
+    np.testing.assert_array_equal(after.signals[LEAD_SPEED], stands_mps)
 
 
 def test_frames_show_the_road_and_both_cars() -> None:

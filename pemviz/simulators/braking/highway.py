@@ -1,119 +1,80 @@
-"""The braking scenario on highway-env, and films of its rollouts.
+"""The braking scenario with its cars in highway-env.
 
-highway-env itself is imported when the first scene is built, not with this module.
+highway-env itself is imported when the first road is built, not with this module.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
 from pemviz.simulators.braking.scenario import (
+    CAR_WIDTH_M,
+    EGO_LENGTH_M,
     EGO_SPEED,
     GAP,
     LEAD_SPEED,
-    SPEED_ERROR_INTEGRAL,
-    BrakingScenario,
 )
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.types import StateBatch
 
 if TYPE_CHECKING:
-    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv
+    from pemviz.simulators.highway_env_cars import CarsOnRoad
 
-SCENES_KEPT = 8
+ROADS_KEPT = 8
 
 
 @dataclass(frozen=True)
-class HighwaySimulator(BrakingScenario):
-    """Each rollout of a batch in turn is loaded into a highway-env scene, stepped, read back."""
+class HighwaySimulator(VectorizedSimulator):
+    """The cars of each rollout in turn are put on a road of highway-env, which moves them."""
 
     @property
     def name(self) -> str:
         """Back end's name."""
         return "highway-env"
 
-    def step(
-        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
-    ) -> StateBatch:
-        """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
-        from pemviz.simulators.braking.highway_env_scenario import BrakingState  # noqa: PLC0415  pygame
+    def places(self, states: StateBatch) -> list[list[list[float]]]:
+        """Where both cars of N rollouts are: x, y [m], heading [rad] and speed [m/s].
 
-        scene = _scene(self.config, get_ident())
-        reached: list[BrakingState] = []
-        perceived = self.perceived(states, detected, noise)
-        columns = (
-            np.full(detected.shape, states.step),
-            states.signals[GAP],
-            states.signals[EGO_SPEED],
-            states.signals[LEAD_SPEED],
-            states.memory[SPEED_ERROR_INTEGRAL],
-            perceived.present,
-            perceived.gap_m,
-        )
-        for *state, present, perceived_m in zip(
-            *(column.tolist() for column in columns), strict=True
-        ):
-            scene.load(BrakingState(*state))
-            scene.move(present=present, gap_m=perceived_m)
-            reached.append(scene.state)
-        table = np.array(reached, dtype=np.float64).reshape(-1, len(BrakingState._fields))
-        _, gap_m, ego_mps, lead_mps, integral_m = table.T
-        return StateBatch(
-            step=states.step + 1,
-            signals={GAP: gap_m, EGO_SPEED: ego_mps, LEAD_SPEED: lead_mps},
-            memory={SPEED_ERROR_INTEGRAL: integral_m, **perceived.memory},
-        )
+        The lead car's x is the gap, which is thereby read back to the last digit.
+        """
+        gap_m, ego_mps, lead_mps = (states.signals[n] for n in (GAP, EGO_SPEED, LEAD_SPEED))
+        none, ego_m = np.zeros_like(gap_m), np.full_like(gap_m, -self._between_m)
+        ego, lead = ([x_m, none, none, v] for x_m, v in ((ego_m, ego_mps), (gap_m, lead_mps)))
+        return np.moveaxis(np.array([ego, lead]), -1, 0).tolist()
+
+    @property
+    def _between_m(self) -> float:
+        """Between the cars' centres where the gap is 0 [m]."""
+        return EGO_LENGTH_M / 2 - CAMERA_TO_BUMPER_M + self.config.lead_length_m / 2
+
+    def _driven(
+        self, states: StateBatch, ego_mps2: FloatArray, lead_mps2: FloatArray
+    ) -> dict[str, FloatArray]:
+        """The signals a step on."""
+        road = _road(self.config, get_ident())
+        does_mps2 = np.stack(np.broadcast_arrays(ego_mps2, lead_mps2), axis=-1).tolist()
+        after = [road.moved(*one) for one in zip(self.places(states), does_mps2, strict=True)]
+        x_m, _, speed_mps = np.array(after).reshape(len(after), 2, 3).T
+        gap_m = x_m[1] - (x_m[0] + self._between_m)
+        return {GAP: gap_m, EGO_SPEED: speed_mps[0], LEAD_SPEED: speed_mps[1]}
 
 
-def frames(config: ScenarioConfig, *, detected: BoolArray) -> Iterator[NDArray[np.uint8]]:
-    """Film a rollout with outcomes ``[T-1]``; needs no display.
+def cars_on_road(config: ScenarioConfig) -> "CarsOnRoad":
+    """Both cars on an empty lane."""
+    from pemviz.simulators.highway_env_cars import CarsOnRoad, straight_road  # noqa: PLC0415  pygame
 
-    Returns:
-        T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, the ego blue at
-        the left and the lead car orange. From contact on the last frame before it, in grey.
-
-    Raises:
-        ValueError: ``detected`` has another shape.
-    """
-    if detected.shape != (config.states - 1,):
-        message = f"detected has shape {detected.shape}, expected ({config.states - 1},)"
-        raise ValueError(message)
-    return _film(config, detected)
+    lengths_m = EGO_LENGTH_M, config.lead_length_m
+    road = straight_road(config)
+    return CarsOnRoad(road, lengths_m=lengths_m, width_m=CAR_WIDTH_M, dt_s=config.dt_s)
 
 
-def _film(config: ScenarioConfig, detected: BoolArray) -> Iterator[NDArray[np.uint8]]:
-    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv  # noqa: PLC0415  pygame
-
-    environment = BrakingEnv(config, render_mode="rgb_array")
-    try:
-        frame, touching = environment.render(), False
-        yield frame
-        for is_detected in detected.tolist():
-            if not touching:
-                environment.advance(detected=is_detected)
-                touching = environment.state.gap_m <= CAMERA_TO_BUMPER_M
-                frame = faded(frame) if touching else environment.render()
-            yield frame
-    finally:
-        environment.close()
-
-
-def faded(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The same picture ``[H, W, 3]`` in shades of grey."""
-    grey = np.rint(frame.mean(axis=-1, keepdims=True)).astype(np.uint8)
-    return np.repeat(grey, frame.shape[-1], axis=-1)
-
-
-@lru_cache(maxsize=SCENES_KEPT)
-def _scene(config: ScenarioConfig, thread: int) -> "BrakingEnv":  # noqa: ARG001
-    """A scene to work in. Its content outlives no call, so sharing is safe within a thread."""
-    from pemviz.simulators.braking.highway_env_scenario import BrakingEnv  # noqa: PLC0415  pygame
-
-    return BrakingEnv(config)
+@lru_cache(maxsize=ROADS_KEPT)
+def _road(config: ScenarioConfig, thread: int) -> "CarsOnRoad":  # noqa: ARG001
+    """A road to work on. Its content outlives no call, so sharing is safe within a thread."""
+    return cars_on_road(config)

@@ -42,23 +42,30 @@ class VectorizedSimulator(BrakingScenario):
     ) -> StateBatch:
         """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
         config, dt_s = self.config, self.config.dt_s
-        ego_mps, lead_mps = states.signals[EGO_SPEED], states.signals[LEAD_SPEED]
-        gap_m = lead_mps - ego_mps
-        gap_m *= dt_s
-        gap_m += states.signals[GAP]
         perceived = self.perceived(states, detected, noise)
         ego_mps2, integral_m = self._ego_acceleration(states, perceived)
         braking = states.step * dt_s >= config.lead_brake_time_s
         lead_mps2 = np.where(braking, -config.lead_deceleration_mps2, 0.0)
         return StateBatch(
             step=states.step + 1,
-            signals={  # a car that would reverse stands instead
-                GAP: gap_m,
-                EGO_SPEED: (ego_mps + ego_mps2 * dt_s).clip(0.0),
-                LEAD_SPEED: (lead_mps + lead_mps2 * dt_s).clip(0.0),
-            },
+            signals=self._driven(states, ego_mps2, lead_mps2),
             memory={SPEED_ERROR_INTEGRAL: integral_m, **perceived.memory},
         )
+
+    def _driven(
+        self, states: StateBatch, ego_mps2: FloatArray, lead_mps2: FloatArray
+    ) -> dict[str, FloatArray]:
+        """The signals a step on, with accelerations ``[N]``, or one for all [m/s^2]."""
+        dt_s = self.config.dt_s
+        ego_mps, lead_mps = states.signals[EGO_SPEED], states.signals[LEAD_SPEED]
+        gap_m = lead_mps - ego_mps
+        gap_m *= dt_s
+        gap_m += states.signals[GAP]
+        return {  # a car that would reverse stands instead
+            GAP: gap_m,
+            EGO_SPEED: (ego_mps + ego_mps2 * dt_s).clip(0.0),
+            LEAD_SPEED: (lead_mps + lead_mps2 * dt_s).clip(0.0),
+        }
 
     def compiled_rollouts(
         self, logit: Callable[[FloatArray], FloatArray]

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pemviz.config import EncounterConfig
+from pemviz.simulators.encounters.cars import car_names
 from pemviz.simulators.encounters.vectorized import Left, Moved, VectorizedEncounters
 
 if TYPE_CHECKING:
-    from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad
+    from pemviz.simulators.highway_env_cars import CarsOnRoad
 
 ROADS_KEPT = 8
 
@@ -30,17 +31,23 @@ class HighwayEncounters(VectorizedEncounters):
 
     def _driven(self, left: Left) -> tuple[Left, Moved]:
         """What is done in the step, and where all cars then are if none touches another."""
-        road = _road(self.config, len(self.cars), get_ident())
-        places = self.scene(left.states.signals).of_cars
-        does_mps2 = np.concatenate([left.ego_mps2[None], -left.others_mps2]).T
-        after = [road.moved(*one) for one in zip(places, does_mps2, strict=True)]
+        road, places = _road(self.config, get_ident()), self.scene(left.states.signals).of_cars
+        does_mps2 = np.concatenate([left.ego_mps2[None], -left.others_mps2]).T.tolist()
+        after = [road.moved(*one) for one in zip(places.tolist(), does_mps2, strict=True)]
         x_m, y_m, speed_mps = np.array(after).reshape(len(after), len(self.cars) + 1, 3).T
         return left, Moved(x_m[0], speed_mps[0], x_m[1:], y_m[1:], speed_mps[1:])
 
 
-@lru_cache(maxsize=ROADS_KEPT)
-def _road(config: EncounterConfig, others: int, thread: int) -> "CarsOnRoad":  # noqa: ARG001
-    """A road to work on. Its content outlives no call, so sharing is safe within a thread."""
-    from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad  # noqa: PLC0415  pygame
+def cars_on_road(config: EncounterConfig) -> "CarsOnRoad":
+    """The ego and the other cars on an empty road."""
+    from pemviz.simulators.highway_env_cars import CarsOnRoad, three_lanes  # noqa: PLC0415  pygame
 
-    return CarsOnRoad(config, others)
+    lengths_m = [config.car_length_m] * (1 + len(car_names(config)))
+    road = three_lanes(config)
+    return CarsOnRoad(road, lengths_m=lengths_m, width_m=config.car_width_m, dt_s=config.dt_s)
+
+
+@lru_cache(maxsize=ROADS_KEPT)
+def _road(config: EncounterConfig, thread: int) -> "CarsOnRoad":  # noqa: ARG001
+    """A road to work on. Its content outlives no call, so sharing is safe within a thread."""
+    return cars_on_road(config)

@@ -21,10 +21,9 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig, StartChoice
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
-from pemviz.simulators.braking.highway_env_scenario import ScriptedEnv
-from pemviz.simulators.encounters.highway import HighwayEncounters
-from pemviz.simulators.encounters.highway_env_cars import CarsOnRoad
+from pemviz.simulators.encounters.highway import HighwayEncounters, cars_on_road
 from pemviz.simulators.encounters.scenario import LogicalScenario
+from pemviz.simulators.highway_env_cars import ScriptedEnv
 from pemviz.simulators.latents import begun
 from pemviz.types import StateBatch
 
@@ -85,7 +84,7 @@ class EncounterEnv(ScriptedEnv):
         """
         self.scenario = HighwayEncounters(encounter, tuple(chosen), tracker)
         self.start = np.zeros(self.scenario.latents.start)
-        self.on_road = CarsOnRoad(encounter, len(self.scenario.cars))
+        self.on_road = cars_on_road(encounter)
         super().__init__(encounter, shown_m=encounter.farthest_m, render_mode=render_mode)
 
     def define_spaces(self) -> None:
@@ -114,7 +113,7 @@ class EncounterEnv(ScriptedEnv):
     def show(self, states: StateBatch) -> None:
         """Be in the state of one rollout of a back end, ``[1]``."""
         self.states, self.steps = states, int(states.step)
-        self.on_road.put(self.scenario.scene(states.signals).of_cars[0])
+        self.on_road.put(self.scenario.scene(states.signals).of_cars[0].tolist())
 
     def present(self) -> BoolArray:
         """Whether each is to be seen, or the ghost may appear, ``[K]``."""

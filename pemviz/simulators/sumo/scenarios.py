@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
 from pemviz.config.settings import SumoConfig
 from pemviz.simulators.braking import scenario as braking
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
@@ -42,17 +42,17 @@ class SumoBraking(VectorizedSimulator):
         lengths_m = braking.EGO_LENGTH_M, self.config.lead_length_m
         return Roads(self.config.dt_s, ("ego", "ego"), lengths_m)
 
-    def step(
-        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
-    ) -> StateBatch:
-        """The states one time step on, for outcomes ``[N]`` and, with errors, noise ``[N, 1]``."""
-        after = super().step(states, detected, noise)
+    def _driven(
+        self, states: StateBatch, ego_mps2: FloatArray, lead_mps2: FloatArray
+    ) -> dict[str, FloatArray]:
+        """The signals a step on."""
+        after = super()._driven(states, ego_mps2, lead_mps2)
         length_m = self.config.lead_length_m
         gap_m = states.signals[braking.GAP]
         lead_m = gap_m - CAMERA_TO_BUMPER_M + length_m
         before_mps, after_mps = (
-            np.stack([one.signals[braking.EGO_SPEED], one.signals[braking.LEAD_SPEED]])
-            for one in (states, after)
+            np.stack([signals[braking.EGO_SPEED], signals[braking.LEAD_SPEED]])
+            for signals in (states.signals, after)
         )
         front_m, speed_mps = self.roads.step(
             Group(
@@ -63,12 +63,11 @@ class SumoBraking(VectorizedSimulator):
                 wanted_mps=after_mps,
             )
         )
-        signals = {
+        return {
             braking.GAP: front_m[1] - front_m[0] - length_m + CAMERA_TO_BUMPER_M,
             braking.EGO_SPEED: speed_mps[0],
             braking.LEAD_SPEED: speed_mps[1],
         }
-        return StateBatch(step=after.step, signals=signals, memory=after.memory)
 
 
 @dataclass(frozen=True)
