@@ -14,6 +14,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from functools import partial
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -92,7 +93,7 @@ class ProcessPool:
     They are spawned when they are first needed, so that threads and locks of this process are not
     copied. Each has one thread for linear algebra, holds back the terminal's signals, and ends
     with the pool, or by itself when this process dies. One that is killed makes what was handed in
-    raise :class:`concurrent.futures.BrokenExecutor`; the pool is of no use then.
+    raise :class:`concurrent.futures.BrokenExecutor`; the pool is of no use until it is renewed.
     """
 
     def __init__(self, count: int, *, scratch: Path | None = None) -> None:
@@ -101,12 +102,14 @@ class ProcessPool:
         If this process dies, the folder ``scratch`` is removed.
         """
         self._processes: list[BaseProcess] = []
-        self._executor = ProcessPoolExecutor(
+        self._new_executor = partial(
+            ProcessPoolExecutor,
             count,
             mp_context=multiprocessing.get_context("spawn"),
             initializer=end_with_parent,
             initargs=(scratch,),
         )
+        self._executor = self._new_executor()
 
     def __enter__(self) -> Self:
         """The pool itself."""
@@ -136,6 +139,11 @@ class ProcessPool:
             future = self._executor.submit(_called, bytes(call))
         self._processes += set(multiprocessing.active_children()) - before
         return future
+
+    def renew(self) -> None:
+        """End all processes; others are started when they are needed."""
+        self.close()
+        self._processes, self._executor = [], self._new_executor()
 
     def close(self) -> None:
         """End all processes at once, whatever they are at."""

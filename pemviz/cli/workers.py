@@ -1,5 +1,6 @@
 """Who simulates: options that several commands have."""
 
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -55,7 +56,11 @@ def with_workers(
             yield _simulated_by(experiment, PooledRunner(submit, count))
     elif workers is not None and workers > 1:
         with ProcessPool(workers) as pool:
-            yield _simulated_by(experiment, PooledRunner(pool.submit, workers))
+            runner = PooledRunner(pool.submit, workers, renew=pool.renew)
+            yield _simulated_by(experiment, runner)
+            if runner.deaths:
+                words = "what they were at was simulated again, and is as it would have been"
+                print(f"worker processes that died: {runner.deaths}; {words}", file=sys.stderr)
     else:
         yield experiment
 

@@ -7,7 +7,8 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,7 +28,8 @@ from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking import compiled, vectorized
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops, compiled_loops
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from tests.toy import ConstantPem
+from pemviz.types import StateBatch
+from tests.toy import ConstantPem, MissCounter
 
 HALF = ConstantProposal(detection_probability=0.5)
 
@@ -97,6 +99,61 @@ def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):
         with pytest.raises(SimulationError, match="a worker process died"):
             sampled(replace(problem, run_batches=runner))
         killer.join()
+
+
+@dataclass(frozen=True)
+class Aborts(MissCounter):
+    """Ends its process at rollouts with certain outcomes; once only if there is a file for it."""
+
+    outcomes: tuple[bool, ...] = ()
+    once: str = ""
+
+    def initial(self, *, count):
+        begun = super().initial(count=count)
+        return StateBatch(step=begun.step, signals=begun.signals, memory={"as": np.ones(count)})
+
+    def step(self, states, detected):
+        alike = states.memory["as"] * (detected == self.outcomes[int(states.step)])
+        reached = super().step(states, detected)
+        again = bool(self.once) and Path(self.once).exists()
+        if int(reached.step) == self.states - 1 and alike.any() and not again:
+            if self.once:
+                Path(self.once).touch()
+            os.abort()
+        return StateBatch(step=reached.step, signals=reached.signals, memory={"as": alike})
+
+
+@pytest.fixture
+def with_one_alike(toy_problem):
+    """A problem of 13 steps with its serial rollouts, and one whose outcomes no other has."""
+    problem = replace(toy_problem, simulator=MissCounter(states=14), pem=ConstantPem(0.1))
+    serial = sampled(replace(problem, batch_rollouts=6))
+    outcomes = [tuple(row) for row in serial.rollouts.detected.tolist()]
+    (number, *_) = [n for n in range(20, 37) if outcomes.count(outcomes[n]) == 1]
+    return replace(problem, batch_rollouts=6), serial, number, outcomes[number]
+
+
+def test_what_was_lost_with_a_worker_is_simulated_again(with_one_alike, tmp_path):
+    problem, serial, _, outcomes = with_one_alike
+    simulator = Aborts(states=14, outcomes=outcomes, once=str(tmp_path / "aborted"))
+    with ProcessPool(2) as pool:
+        runner = PooledRunner(pool.submit, 2, renew=pool.renew)
+        found = sampled(replace(problem, simulator=simulator, run_batches=runner))
+    assert_same_scores(found, serial)
+    assert (tmp_path / "aborted").exists()
+    assert runner.deaths == 1
+    assert multiprocessing.active_children() == []
+
+
+def test_a_rollout_that_ends_every_worker_is_named(with_one_alike):
+    problem, _, number, outcomes = with_one_alike
+    simulator = Aborts(states=14, outcomes=outcomes)
+    with ProcessPool(2) as pool:
+        runner = PooledRunner(pool.submit, 2, renew=pool.renew)
+        words = rf"worker processes died one after the other in rollout {number}: killed, or"
+        with pytest.raises(SimulationError, match=words):
+            sampled(replace(problem, simulator=simulator, run_batches=runner))
+    assert multiprocessing.active_children() == []
 
 
 def kill_first_child():
