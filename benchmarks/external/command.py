@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from benchmarks.external.problems import Problem, chosen
+from benchmarks.external.problems import AnyProblem, chosen
 from benchmarks.external.study import ExternalStudy, run_study
 from benchmarks.external.truths import WAYS
+from benchmarks.external.whole_systems import WholeSystem
 from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
 
@@ -27,7 +28,7 @@ def run(words: Sequence[str], *, program: str) -> int:
     return EXIT_DONE
 
 
-def list_lines(problems: Sequence[Problem]) -> Iterator[str]:
+def list_lines(problems: Sequence[AnyProblem]) -> Iterator[str]:
     """A Markdown table of the problems."""
     yield "| problem | source | probability | found by |"
     yield "|---|---|---|---|"
@@ -36,12 +37,13 @@ def list_lines(problems: Sequence[Problem]) -> Iterator[str]:
         yield f"| {one.name} | {one.source} | {one.truth:.8g}{error} | {one.how} |"
 
 
-def truth_lines(problems: Sequence[Problem]) -> Iterator[str]:
+def truth_lines(problems: Sequence[AnyProblem]) -> Iterator[str]:
     """Each probability as it stands, as it is found again, and how far these are apart."""
     yield "| problem | stands | found again | apart | standard errors | by |"
     yield "|---|---|---|---|---|---|"
     for one in problems:
-        for way in WAYS[one.name]:
+        ways = (one.found_again,) if isinstance(one, WholeSystem) else WAYS[one.name]
+        for way in ways:
             again = way()
             apart = again.value / one.truth - 1.0
             error = (again.relative_error**2 + one.relative_error**2) ** 0.5

@@ -309,7 +309,8 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 def _tasks(given: argparse.Namespace) -> Sequence[Task]:
-    wanted = set().union(*(named(name) for name in given.problems))
+    names = [one.name for one in problems()]
+    wanted = set().union(*(named(name, names) for name in given.problems))
     chosen = [
         one
         for one in problems()

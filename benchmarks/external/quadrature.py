@@ -29,6 +29,13 @@ class Known:
     relative_error: float = 0.0
     how: str = ""
 
+    @classmethod
+    def counted(cls, failing: int, count: int, how: str) -> "Known":
+        """By plain rollouts of which so many fail; ``how`` is said beside their number."""
+        value = failing / count
+        error = np.sqrt((1.0 - value) / max(failing, 1)) if failing else np.inf
+        return cls(value, float(error), f"{count:,} plain rollouts, {how}")
+
 
 def by_radius(function: LimitFunction, *, angles: int = 8000, points: int = 1500) -> Known:
     """Of two standard normals: over angles, and exactly over the radius beyond each root."""
@@ -151,8 +158,7 @@ def plain(motion: Motion, *, count: int, seed: int) -> Known:
             values = motion.move(values, step, detected, noise)
             failed |= motion.margin(values) < 0.0
         failing += int(failed.sum())
-    sums = np.full(2, float(failing))
-    return _averaged(sums, count, f"{count:,} plain rollouts, numpy alone")
+    return Known.counted(failing, count, "numpy alone")
 
 
 WINDOW, UNTILTED = 12, 0.1

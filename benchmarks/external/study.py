@@ -18,8 +18,8 @@ from rich.console import Console
 
 import pemviz
 from benchmarks.external import others
-from benchmarks.external.catalogue import REQUIREMENTS
-from benchmarks.external.problems import Problem, chosen, experiment_of
+from benchmarks.external.catalogue import REQUIREMENTS, Problem
+from benchmarks.external.problems import AnyProblem, chosen, experiment_of
 from benchmarks.external.record import DONE, RUNS, Run, add_run, read_runs
 from benchmarks.external.table import Row, document, nearer, rows_of, table_lines, totals_of
 from pemviz.cli.parsing import parse_arguments
@@ -132,7 +132,7 @@ def run_study(study: ExternalStudy) -> Sequence[str]:
     return _report(study, problems, path, (*refused, *left_out))
 
 
-def _at_hand(problems: Sequence[Problem]) -> tuple[Sequence[Problem], Sequence[str]]:
+def _at_hand(problems: Sequence[AnyProblem]) -> tuple[Sequence[AnyProblem], Sequence[str]]:
     """Problems whose simulators are installed; and in words, those whose are not."""
     left_out = [
         f"{one.name} is left out: needs {', '.join(one.missing)}, not installed here "
@@ -144,14 +144,14 @@ def _at_hand(problems: Sequence[Problem]) -> tuple[Sequence[Problem], Sequence[s
 
 
 def _run_others(
-    study: ExternalStudy, interpreter: Path, problems: Sequence[Problem], path: Path
+    study: ExternalStudy, interpreter: Path, problems: Sequence[AnyProblem], path: Path
 ) -> None:
     """Others' programs, by their own interpreter, after each method of ours.
 
     Raises:
         RunError: They fail.
     """
-    names = [problem.name for problem in problems]
+    names = [problem.name for problem in problems if isinstance(problem, Problem)]
     for label in sorted(_labels(study)):
         words = ["-m", others.__name__, "--out", str((study.out / OTHERS).absolute())]
         words += ["--like", str(path.absolute()), "--like-method", label]
@@ -172,7 +172,7 @@ def _labels(study: ExternalStudy) -> AbstractSet[str]:
 
 
 def _jobs(
-    study: ExternalStudy, problems: Sequence[Problem], path: Path
+    study: ExternalStudy, problems: Sequence[AnyProblem], path: Path
 ) -> tuple[Sequence[Job], Sequence[str]]:
     """What is to be run, and what cannot be had, in words."""
     finished = read_runs(path)
@@ -206,14 +206,14 @@ def _seeds(study: ExternalStudy) -> range:
 
 
 def configured(
-    problem: Problem, method: str, budget: str, settings: Sequence[str]
+    problem: AnyProblem, method: str, budget: str, settings: Sequence[str]
 ) -> ExperimentConfig:
     """What is run.
 
     Raises:
         InputError: The method, the budget or a setting is wrong.
     """
-    config = ExperimentConfig(method=method, spec=problem.motion.spec)
+    config = ExperimentConfig(method=method, spec=problem.spec)
     words: list[str] = []
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -233,10 +233,10 @@ def configured(
     return _within(problem, config, int(budget))
 
 
-def _within(problem: Problem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
+def _within(problem: AnyProblem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
     """A budget that what chains simulate is part of, where they search and nothing says how."""
     method = by_name(config.method)
-    searches = "chains" in method.settings and problem.motion.starts + problem.motion.noises > 0
+    searches = "chains" in method.settings and problem.latents > 0
     if not searches or config.chains is not None:
         return method.with_budget(config, calls)
     each = min(int(CHAINS_SHARE * calls / CHAINS_LEVELS), CHAINS)
@@ -253,7 +253,7 @@ def run_job(job: Job) -> None:
         add_run(job.path, replace(run, seconds=time.process_time() - began))
 
 
-def _run(problem: Problem, job: Job, seed: int) -> Run:
+def _run(problem: AnyProblem, job: Job, seed: int) -> Run:
     run = Run(problem=job.problem, method=job.label, budget=job.budget, seed=seed, estimate=None)
     try:
         result = pemviz.run(experiment_of(problem, replace(job.config, seed=seed)))
@@ -273,7 +273,7 @@ def _run(problem: Problem, job: Job, seed: int) -> Run:
 
 
 def _report(
-    study: ExternalStudy, problems: Sequence[Problem], path: Path, said: Sequence[str]
+    study: ExternalStudy, problems: Sequence[AnyProblem], path: Path, said: Sequence[str]
 ) -> Sequence[str]:
     """Of what this study asks for, all that is there."""
     truths = {problem.name: problem.truth for problem in problems}

@@ -12,10 +12,11 @@ from scipy.special import expit, ndtr
 
 from benchmarks.__main__ import main
 from benchmarks.external import others
+from benchmarks.external.airspace import Pairs, PilotWithDisplay
 from benchmarks.external.catalogue import problems
 from benchmarks.external.motions import dimension, limit_function
 from benchmarks.external.mujoco_pole import POLE_START, stepped_by_mujoco
-from benchmarks.external.problems import chosen, experiment_of
+from benchmarks.external.problems import chosen, every, experiment_of
 from benchmarks.external.quadrature import by_windows
 from benchmarks.external.record import DONE, RUNS, Run, add_run, as_took, read_runs
 from benchmarks.external.sequential import CART_START, LEAN, RAIL, WalkBesidePattern, pushed
@@ -41,9 +42,9 @@ EXACT = 3e-4
 
 
 def test_every_problem_is_known_and_found_again():
-    names = [problem.name for problem in problems()]
+    names = [problem.name for problem in every()]
     assert len(set(names)) == len(names)
-    assert set(WAYS) == set(names)
+    assert set(WAYS) == {problem.name for problem in problems()}
     assert all("|" not in name for name in names)
 
 
@@ -108,6 +109,40 @@ def test_the_pole_moves_as_mujocos_does():
         environment.step(np.array([action]))
         state = stepped_by_mujoco(state, np.array([action]))
         np.testing.assert_allclose(state[0], environment._get_obs(), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:.*intersection-v0 is out of date:DeprecationWarning")
+def test_the_crossing_ends_in_its_own_crash_where_nothing_is_perceived():
+    """And in none where everything is; twice the same, and pemviz takes it as it is."""
+    pytest.importorskip("highway_env")
+    (crossing,) = chosen(["intersection-v0"])
+    system = crossing.system()
+    for perceived, crashes in ((False, True), (True, False), (False, True)):
+        least = system.reset()["room"]
+        for _ in range(system.states - 1):
+            values, ended = system.step([perceived] * len(system.slots))
+            least = min(least, values["room"])
+            if ended:
+                break
+        assert (least < 0.0) == crashes == system.environment.unwrapped.vehicle.crashed
+    experiment_of(crossing, configured(crossing, "subset", "done", ()))
+
+
+def test_an_aircraft_flies_alone_as_it_does_among_many():
+    """Also after others: BlueSky keeps nothing of what flew before."""
+    pytest.importorskip("bluesky", reason="its simulator is of an environment apart")
+    system, pairs = PilotWithDisplay(), Pairs()
+    shown = np.random.default_rng(5).random((6, system.states - 1)) < 0.5
+    shown[0], shown[1] = True, False
+    many = [pairs.begin(6), *(pairs.move(at) for at in shown.T)]
+    for row, outcomes in enumerate(shown):
+        alone = [system.reset(), *(system.step(bool(seen))[0] for seen in outcomes)]
+        for name in many[0]:
+            found = [values[name] for values in alone]
+            np.testing.assert_array_equal(found, [values[name][row] for values in many])
+    rooms = np.min([values["room"] for values in many], axis=0)
+    assert rooms[0] > 1.0
+    assert rooms[1] < -1.0
 
 
 def test_windows_of_misses_find_what_enumeration_finds():
