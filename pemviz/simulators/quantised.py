@@ -23,7 +23,7 @@ from pemviz.simulators.latents import (
     stepped,
     within,
 )
-from pemviz.simulators.slots import Slot, SlotSimulator
+from pemviz.simulators.slots import SlotSimulator, WrappedSlots
 from pemviz.types import Signal, Simulator, StateBatch
 
 FARTHEST = 4.0
@@ -132,19 +132,8 @@ class QuantisedStart(WrappedSimulator):
 
 
 @dataclass(frozen=True)
-class QuantisedSlots(QuantisedStart):
+class QuantisedSlots(WrappedSlots, QuantisedStart):
     """The same of a scenario with slots."""
-
-    scenario: SlotSimulator  # pyright: ignore[reportIncompatibleVariableOverride]  one of slots
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """The scenario's slots."""
-        return self.scenario.slots
-
-    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        """Where perception has something to report, ``[..., K]``."""
-        return self.scenario.present(signals)
 
 
 class _Named(QuantisedStart):

@@ -18,7 +18,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.latents import LatentCounts
-from pemviz.simulators.latents import begun, latent_counts, stepped
+from pemviz.simulators.latents import WrappedSimulator, begun, latent_counts, stepped
 from pemviz.types import CERTAIN, Signal, SimulatorFacts, StateBatch
 
 SLOT = "slot"
@@ -130,6 +130,22 @@ class BringsSlotModels(Protocol):
     def slot_models(self) -> Mapping[str, Any]:
         """Detector models, each with ``logit(salient)``, by the slot's name."""
         ...
+
+
+@dataclass(frozen=True)
+class WrappedSlots(WrappedSimulator):
+    """The same scenario with slots, of whose states something more is known."""
+
+    scenario: SlotSimulator  # pyright: ignore[reportIncompatibleVariableOverride]  one of slots
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The scenario's slots."""
+        return self.scenario.slots
+
+    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """Where perception has something to report, ``[..., K]``."""
+        return self.scenario.present(signals)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
 """Any scenario behind a tracker: it is told of confirmed tracks in place of single outcomes."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
 from pemviz.simulators.latents import WrappedSimulator, begun, stepped
-from pemviz.simulators.slots import Slot, SlotSimulator
+from pemviz.simulators.slots import SlotSimulator, WrappedSlots
 from pemviz.simulators.tracking.tracker import Tracker, TrackerState
 from pemviz.types import Simulator, StateBatch
 
@@ -48,19 +47,8 @@ class TrackedSimulator(WrappedSimulator):
 
 
 @dataclass(frozen=True)
-class TrackedSlots(TrackedSimulator):
+class TrackedSlots(WrappedSlots, TrackedSimulator):
     """The same with a track for each slot of a scenario; what is absent is no hit."""
-
-    scenario: SlotSimulator  # pyright: ignore[reportIncompatibleVariableOverride]  one of slots
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """The scenario's slots."""
-        return self.scenario.slots
-
-    def present(self, signals: Mapping[str, FloatArray]) -> BoolArray:
-        """Where perception has something to report, ``[..., K]``."""
-        return self.scenario.present(signals)
 
     def step(
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
