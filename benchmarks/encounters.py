@@ -11,7 +11,6 @@ from pemviz.config import LOGICAL_SCENARIOS, EncounterConfig
 from pemviz.config.encounters import LogicalScenarioName
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.encounters.highway import HighwayEncounters
-from pemviz.simulators.encounters.scenario import LogicalScenario
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.sumo.engine import is_installed
 from pemviz.simulators.sumo.scenarios import SumoEncounters
@@ -42,7 +41,10 @@ def scenario_figures(
     for logical_scenario in logical_scenarios:
         config = EncounterConfig(logical_scenario=logical_scenario, states=states)
         sizes = {"vectorized": vectorized_rollouts, "highway-env": highway_rollouts}
-        kinds: list[LogicalScenario] = [VectorizedEncounters(config), HighwayEncounters(config)]
+        kinds: list[VectorizedEncounters] = [
+            VectorizedEncounters(config),
+            HighwayEncounters(config),
+        ]
         if is_installed():
             kinds.append(SumoEncounters(config))
             sizes["sumo"] = sumo_rollouts
@@ -71,7 +73,7 @@ def scenario_figures(
     return tuple(found)
 
 
-def _replaying(scenario: LogicalScenario, rollouts: int) -> Callable[[], object]:
+def _replaying(scenario: VectorizedEncounters, rollouts: int) -> Callable[[], object]:
     """Work that replays the same random starts and outcomes each time."""
     generator = np.random.default_rng(0)
     start = generator.standard_normal((rollouts, scenario.latents.start))

@@ -65,17 +65,17 @@ def _frames(
     from pemviz.simulators.encounters.highway_env_encounters import (  # noqa: PLC0415  likewise
         encounter_frames,
     )
-    from pemviz.simulators.encounters.scenario import LogicalScenario  # noqa: PLC0415
+    from pemviz.simulators.encounters.vectorized import VectorizedEncounters  # noqa: PLC0415
 
-    logical_scenario, drawn = drawn_scene(simulator), track.drawn
+    encounters, drawn = drawn_scene(simulator), track.drawn
     if (
-        not isinstance(logical_scenario, LogicalScenario)
+        not isinstance(encounters, VectorizedEncounters)
         or drawn is None
-        or logical_scenario.errors is not None
+        or encounters.errors is not None
     ):
         return
     contact = drawn.count if drawn.contact_step is None else drawn.contact_step
-    film = encounter_frames(logical_scenario, detected=track.outcomes, start=track.start)
+    film = encounter_frames(encounters, detected=track.outcomes, start=track.start)
     for step, frame in enumerate(film):
         yield frame if step < contact else faded(frame)
 

@@ -28,7 +28,7 @@ from pemviz.simulators.measurement_errors import PositionErrors
 from pemviz.types import Simulator
 
 if TYPE_CHECKING:
-    from pemviz.simulators.encounters.scenario import LogicalScenario
+    from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 
 SHIPPED = SHIPPED_SIMULATORS
 SIMULATORS = NamedPart(
@@ -99,7 +99,7 @@ def build_named_simulator(  # noqa: PLR0911 (one case per simulator)
 
 def build_encounter_simulator(
     config: ExperimentConfig, *, errors: PositionErrors | None = None
-) -> "LogicalScenario":
+) -> "VectorizedEncounters":
     """The back end of the logical scenario that ``config`` names, with errors of places.
 
     Raises:

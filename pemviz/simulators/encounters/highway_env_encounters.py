@@ -22,7 +22,7 @@ from pemviz.config import EncounterConfig, StartChoice
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.errors import ConfigError
 from pemviz.simulators.encounters.highway import HighwayEncounters, cars_on_road
-from pemviz.simulators.encounters.scenario import LogicalScenario
+from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.highway_env_cars import ScriptedEnv
 from pemviz.simulators.latents import begun
 from pemviz.types import StateBatch
@@ -131,7 +131,7 @@ class EncounterEnv(ScriptedEnv):
 
 
 def encounter_frames(
-    simulator: LogicalScenario, *, detected: BoolArray, start: FloatArray | None = None
+    simulator: VectorizedEncounters, *, detected: BoolArray, start: FloatArray | None = None
 ) -> Iterator[NDArray[np.uint8]]:
     """Film a rollout with outcomes ``[T-1, K]`` and start ``[S]`` or medians; needs no display.
 

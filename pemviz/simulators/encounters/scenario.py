@@ -1,9 +1,8 @@
-"""What all back ends of the logical scenarios share, all but how they begin and step.
+"""What encounters of a logical scenario are, all but how they begin and step.
 
 And what a proposal sees of their states, in the turn of each slot.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,8 +58,8 @@ FARTHEST_M = 80.0
 
 
 @dataclass(frozen=True)
-class LogicalScenario(ABC):
-    """Encounters of a logical scenario; a back end adds ``name``, ``initial`` and ``step``.
+class LogicalScenario:
+    """Encounters of a logical scenario, but for how they begin and step.
 
     Attributes:
         config: The encounters' parameters.
@@ -105,11 +104,6 @@ class LogicalScenario(ABC):
         if not self.has_false_positive:
             return {}
         return {TITLES[FALSE_POSITIVE]: FalsePositiveReports(self.config.ghost_probability)}
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Back end's name."""
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -232,21 +226,6 @@ class LogicalScenario(ABC):
         }
         least = dict.fromkeys(NEVER_NEGATIVE, 0.0) | {"duration": self.config.dt_s}
         return {name: one.clip(least.get(name, -np.inf)) for name, one in values.items()}
-
-    @abstractmethod
-    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
-        """The states s_0, arrays ``[count]``.
-
-        Args:
-            count: Number of rollouts N.
-            start: Standard normals ``[N, S]``; ``None``: 0, the medians.
-        """
-
-    @abstractmethod
-    def step(
-        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
-    ) -> StateBatch:
-        """The next states, for outcomes ``[N, K]`` and, with errors, noise ``[N, 2 K]``."""
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """The slots' salient variables ``[..., K, 11]``."""

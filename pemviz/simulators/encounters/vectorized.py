@@ -62,7 +62,10 @@ class Moved:
 
 @dataclass(frozen=True)
 class VectorizedEncounters(LogicalScenario):
-    """Explicit Euler steps of ``pemviz.simulators.encounters``: positions, then speeds."""
+    """Explicit Euler steps of ``pemviz.simulators.encounters``: positions, then speeds.
+
+    A back end in which something else moves the cars has another ``name`` and ``_driven``.
+    """
 
     @property
     def name(self) -> str:
