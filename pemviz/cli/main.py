@@ -1,5 +1,6 @@
 """The command line: finds the command, reports errors in one line, sets the exit code."""
 
+import faulthandler
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -88,6 +89,8 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if sys.__stderr__ is not None and not faulthandler.is_enabled():
+        faulthandler.enable(sys.__stderr__)  # a simulator's library may abort: tell where
     try:
         try:
             return _answer(words)

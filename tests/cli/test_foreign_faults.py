@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -201,3 +202,18 @@ def test_no_command_ends_with_the_exit_code_of_something_it_called(raised, monke
 def test_help_ends_with_0():
     command = [sys.executable, "-m", "pemviz", "record", "--help"]
     assert subprocess.run(command, capture_output=True, cwd=ROOT, check=False).returncode == 0
+
+
+def test_an_abort_says_where_it_was():
+    """Of a simulator's library, say: the process ends at once, and no more can be told."""
+    lines = (
+        "import os",
+        "from pemviz.cli import main",
+        "main.run_command = lambda *words: os.abort()",
+        "main.main(['record'])",
+    )
+    call = [sys.executable, "-c", "\n".join(lines)]
+    ended = subprocess.run(call, check=False, capture_output=True, text=True)
+    assert ended.returncode == -signal.SIGABRT
+    assert ended.stderr.startswith("Fatal Python error: Aborted")
+    assert 'File "<string>", line 3' in ended.stderr
