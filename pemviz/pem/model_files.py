@@ -177,8 +177,9 @@ def _check_that_refits(ensemble: PemEnsemble, pem: Pem, *, beside: Path, path: P
 def save_pem(pem: StoredPem, path: Path) -> None:
     """Write a model as safetensors; the same model gives the same bytes."""
     card = asdict(pem.card)
-    if not card["memory"]:  # a card of a model without memory has no such entry
-        del card["memory"]
+    for name in ("memory", "check"):  # a card of a model without has no such entry
+        if not card[name]:
+            del card[name]
     header = {"kind": pem.kind, "options": pem.options(), "card": card}
     _save(pem.tensors(), header, path, key=METADATA_KEY)
 

@@ -36,6 +36,12 @@ def summary_markdown(result: RunResult, *, gate: GateDecision | None = None) -> 
     return "\n\n".join(parts) + "\n"
 
 
+def document_markdown(document: doc.Document) -> str:
+    """A document as one page, under its title."""
+    parts = [f"# {markdown_text(document.title)}", *sections_markdown(document.sections, level=2)]
+    return "\n\n".join(parts) + "\n"
+
+
 def sections_markdown(
     sections: Iterable[Section], *, level: int, prefix: str = "", marks: Marks = MARKS
 ) -> list[str]:

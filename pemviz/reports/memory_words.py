@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from pemviz.pem.models.memory import FRAILTY_MEANS
+from pemviz.pem.models.predictive_check import check_line
 from pemviz.reports.document import Table
 from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.runs.result import RunMemory
@@ -187,6 +188,14 @@ def frailty_line(memory: RunMemory | None) -> str | None:
         assumed = f"that obstacles in the same state are alike (frailty 0): {equal:.1g} if they are"
     assumptions = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
     return f"So is {assumptions}.{_worth(memory, BY_FRAILTY)}"
+
+
+def check_lines(memory: RunMemory | None) -> list[str]:
+    """What predictive checks found of the error model with this memory; empty without any."""
+    if memory is None or memory.check is None:
+        return []
+    line = check_line(memory.check)
+    return [f"{line[0].upper()}{line[1:]}."]
 
 
 def _by_place(memory: RunMemory, axis: CurveAxis) -> dict[float, CurvePoint]:

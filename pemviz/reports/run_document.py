@@ -247,11 +247,13 @@ def _rates(result: RunResult) -> Section | None:
 def _memory(result: RunResult) -> Section:
     """By how much each assumption changes the answer, and the answer along both axes."""
     memory, title = result.memory, memory_words.MEMORY_TITLE
+    checked = tuple(map(Paragraph, memory_words.check_lines(memory)))
     lines = [Paragraph(line, "strong") for line in memory_words.assumption_lines(memory)]
     if memory is None or not lines:
         table = None if memory is None else memory_words.measured_table(memory)
         said = Caution(memory_words.NOT_LOOKED_AT) if table is None else table
-        return Section("memory", title, (), (said,))
+        return Section("memory", title, checked, (*checked, said))
+    lines += checked
     by_time = memory_words.BY_MEMORY_TIME
     table = memory_words.curve_table(memory, by_time)
     words = () if table is None else (table,)

@@ -38,6 +38,14 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
 
+def print_document(document: doc.Document) -> None:
+    """Print a document in brief, under its title."""
+    console = Console(highlight=False)
+    _line(console, document.title, style="bold")
+    for section in document.sections:
+        _print(console, section.brief)
+
+
 def summary_text(result: RunResult) -> str:
     """Probability, interval, violations and every warning, for a terminal or a notebook."""
     document = run_document(result)

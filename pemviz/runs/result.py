@@ -18,6 +18,7 @@ from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Range, S
 from pemviz.latents import LatentCounts
 from pemviz.pem import Pem
 from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
+from pemviz.pem.models.predictive_check import ModelCheck, check_from_mapping
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.slots import single_model
 from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
@@ -82,6 +83,8 @@ class RunMemory:
         measured: The answer with memories that were measured: of other detectors, or the error
             model's own; if the answer is for that, at the ends of its intervals.
         unmeasured: Why there is none of these; empty where there is, and in older results.
+        check: What predictive checks found of the error model with this memory; without a variant
+            where they looked at others alone, ``None`` where the model was not checked.
     """
 
     tau_s: AtLeastZero
@@ -92,6 +95,7 @@ class RunMemory:
     hidden: tuple[str, ...] = ()
     measured: tuple[MeasuredAnswer, ...] = ()
     unmeasured: str = ""
+    check: ModelCheck | None = None
 
     @property
     def is_independent(self) -> bool:
@@ -107,11 +111,12 @@ class RunMemory:
 
 def memory_of(pem: Pem) -> RunMemory:
     """The memory that a run with this error model assumes."""
-    assumed, own = memory_of_pem(pem), own_memory(single_model(own_pem(pem)))
+    single = single_model(own_pem(pem))
+    assumed, own = memory_of_pem(pem), own_memory(single)
     hidden = tuple(one.label for one in hidden_in(pem) if one.label)
     run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
     if own is None:
-        return run
+        return replace(run, check=_own_check(single, run))
     low_s, high_s = own.tau_interval_s
     low, high = own.frailty_interval or (None, None)
     fitted = MeasuredTau(
@@ -123,7 +128,26 @@ def memory_of(pem: Pem) -> RunMemory:
         frailty_low=low,
         frailty_high=high,
     )
-    return replace(run, fitted=fitted)
+    run = replace(run, fitted=fitted)
+    return replace(run, check=_own_check(single, run))
+
+
+def _own_check(pem: Pem, run: RunMemory) -> ModelCheck | None:
+    """What a model's card says of predictive checks, of the variant that a run assumes.
+
+    Raises:
+        PemError: The card is damaged.
+    """
+    card: object = getattr(pem, "card", None)
+    if not isinstance(card, PemCard):
+        return None
+    check = check_from_mapping(card.check, where=pem.name)
+    if check is None:
+        return None
+    assumed = "independent" if run.is_independent else "both" if run.is_own else None
+    if run.hidden:
+        assumed = None
+    return replace(check, variants=tuple(one for one in check.variants if one.name == assumed))
 
 
 def own_memory(pem: Pem) -> FittedMemory | None:

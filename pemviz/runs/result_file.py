@@ -16,6 +16,7 @@ What a result.json may hold (schema 2):
   ``sensitivity``, and its other fields under ``causes``.
 - ``measured`` in ``memory`` and in ``rules`` where the answer was looked at with memories that were
   measured, else ``unmeasured`` in ``memory``: why not; neither in older results.
+- ``check`` in ``memory`` only where the error model's card tells of predictive checks.
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
@@ -172,7 +173,7 @@ def result_document(result: RunResult) -> Table:
         "memory": (
             None
             if result.memory is None
-            else _without(_fields_of(result.memory), "measured", "unmeasured")
+            else _without(_fields_of(result.memory), "measured", "unmeasured", "check")
         ),
         **_unless_empty(
             latents=result.latents, position_errors=result.position_errors, starts=result.starts

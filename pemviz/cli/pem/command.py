@@ -15,6 +15,7 @@ ACTIONS = {
     "fit": ("FitArguments", "train a model on such a table"),
     "evaluate": ("EvaluateArguments", "cross-validate models: scores, calibration, tables"),
     "memory": ("MemoryArguments", "how misses follow each other on video; are they independent?"),
+    "check": ("CheckArguments", "does a model give tracks like those that were observed?"),
     "show": ("ShowArguments", "draw P(missed) against distance"),
 }
 

@@ -27,6 +27,7 @@ from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_ensemble, fit_pem
 from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
+from pemviz.pem.models.predictive_check import verdict_lines
 
 PAGE = HelpPage(
     text="""
@@ -74,7 +75,8 @@ class FitArguments:
     memory: bool = False
     """Also fit the memory of misses (memory time and frailty) to tracks: the table needs the
     columns sequence, frame and track; folds are then of sequences. Tells and writes what 'pemviz
-    pem memory' does, into OUT-memory.md and .png."""
+    pem memory' does, into OUT-memory.md and .png, and tells and keeps in the card what 'pemviz pem
+    check' does of the same folds."""
     rate_hz: float | None = None
     """With memory or position errors: frames a second, where the table has no column rate_hz
     (above 0)."""
@@ -135,7 +137,9 @@ def run(arguments: FitArguments) -> int:
 
 
 def _fit_with_memory(arguments: FitArguments) -> int:
-    from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415  scikit-learn
+    # scikit-learn and scipy take seconds to import
+    from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
+    from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     source = tracks.obstacles.source
@@ -155,11 +159,20 @@ def _fit_with_memory(arguments: FitArguments) -> int:
         ),
     )
     assert held_out.whole is not None  # noqa: S101  asked for above
-    _write(with_memory(held_out.whole, tracks, cross_fitted=held_out, report=report), arguments.out)
+    assert report.surface is not None  # noqa: S101  of fit_report
+    with progress_bar("predictive checks") as tell:
+        checked = check_held_out(
+            tracks, held_out, report.surface, seed=arguments.seed, on_progress=tell
+        )
+    pem = with_memory(
+        held_out.whole, tracks, cross_fitted=held_out, report=report, check=checked.check
+    )
+    _write(pem, arguments.out)
     check = judged(tracks, held_out, report)
     page = arguments.out.with_name(f"{arguments.out.stem}-memory.md")
     write_memory_page(report, check, page, title=source)
     print(memory_in_words(report, check))
+    print("\n".join(verdict_lines(checked.check)))
     return 0
 
 

@@ -87,10 +87,21 @@ def fitted_memory(
     ``whole`` fits the model of all tracks at the same time.
     """
     # scikit-learn and scipy's distributions take seconds to import
-    from pemviz.pem.judging.memory_report import cross_fit, fit_report  # noqa: PLC0415
+    from pemviz.pem.judging.memory_report import fit_report  # noqa: PLC0415
+
+    held_out = cross_fitted(tracks, model=model, folds=folds, seed=seed, whole=whole)
+    with progress_bar("memory of misses") as tell:
+        return held_out, fit_report(tracks, held_out, seed=seed, on_progress=tell)
+
+
+def cross_fitted(
+    tracks: TrackTable, *, model: ModelKind, folds: int, seed: int, whole: "Fit | None" = None
+) -> "CrossFitted":
+    """Cross-fitted P(missed) of tracks, with progress; see :func:`fitted_memory`."""
+    from pemviz.pem.judging.memory_report import cross_fit  # noqa: PLC0415  scikit-learn
 
     with progress_bar("folds of sequences") as tell:
-        held_out = cross_fit(
+        return cross_fit(
             tracks,
             model=model,
             folds=folds,
@@ -99,8 +110,6 @@ def fitted_memory(
             workers=1 if model in QUICK_MODELS else usable_cpus(),
             on_progress=tell,
         )
-    with progress_bar("memory of misses") as tell:
-        return held_out, fit_report(tracks, held_out, seed=seed, on_progress=tell)
 
 
 def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:

@@ -26,10 +26,11 @@ import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import read_numbers
@@ -95,6 +96,23 @@ class PositionErrorTable:
 
     def __len__(self) -> int:
         return len(self.errors)
+
+    def only(self, rows: BoolArray) -> "PositionErrorTable":
+        """The table of these rows ``[n]``, in the same order."""
+
+        def chosen(values: AnyArray | None) -> Any:
+            return None if values is None else values[rows]
+
+        return replace(
+            self,
+            x_m=self.x_m[rows],
+            z_m=self.z_m[rows],
+            alpha_rad=chosen(self.alpha_rad),
+            errors=self.errors[rows],
+            sequence=chosen(self.sequence),
+            track=chosen(self.track),
+            time_s=chosen(self.time_s),
+        )
 
     @cached_property
     def distance_m(self) -> FloatArray:
@@ -207,7 +225,7 @@ def _who_and_when(
     if "frame" not in csv.header or ("rate_hz" not in csv.header and rate_hz is None):
         return sequence, track, None
     rate = np.full(len(csv.lines), rate_hz)
-    if rate_hz is None:
+    if "rate_hz" in csv.header:
         rate = csv.numbers("rate_hz", largest=LARGEST)
     if not (rate > 0.0).all():
         raise PemError(f"{csv.path}: column 'rate_hz' must be above 0")

@@ -5,7 +5,7 @@ In a table of tracks obstacles are followed over time: who was seen when.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -86,8 +86,7 @@ def load_table(path: Path | str) -> SalientTable:
         if len(salient) != len(detected):
             raise PemError(f"{path}: {len(salient)} rows of inputs but {len(detected)} of labels")
     elif path.suffix == ".csv" and is_file(path):
-        with open_text(path) as stream:
-            header = tuple(name.strip() for name in stream.readline().split(","))
+        header = csv_header(path)
         wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
         CsvTable(path, header, ()).check_header(*wanted)
         picked = tuple(header.index(name) for name in wanted)
@@ -109,6 +108,16 @@ def load_table(path: Path | str) -> SalientTable:
     if len(detected) == 0:
         raise PemError(f"{path}: the table has no rows")
     return SalientTable(salient, detected == 1.0, source=path.stem, sequence=sequence)
+
+
+def csv_header(path: Path) -> tuple[str, ...]:
+    """Names of a CSV's columns.
+
+    Raises:
+        PemError: It cannot be read.
+    """
+    with open_text(path) as stream:
+        return tuple(name.strip() for name in stream.readline().split(","))
 
 
 def save_table(table: SalientTable, path: Path) -> None:
@@ -215,6 +224,17 @@ class TrackTable:
     def detected(self) -> BoolArray:
         """Outcomes ``[n]``."""
         return self.obstacles.detected
+
+    def only(self, rows: BoolArray) -> "TrackTable":
+        """The table of these observations ``[n]``, tracks and sequences numbered as before."""
+        return replace(
+            self,
+            obstacles=self.obstacles.take(np.flatnonzero(rows)),
+            sequence=self.sequence[rows],
+            track=self.track[rows],
+            frame=self.frame[rows],
+            rate_hz=self.rate_hz[rows],
+        )
 
     @cached_property
     def follows(self) -> BoolArray:

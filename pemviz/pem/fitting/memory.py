@@ -80,6 +80,7 @@ def fit_memory(
     *,
     with_frailty: bool = True,
     chosen: BoolArray | None = None,
+    surface: FloatArray | None = None,
     on_progress: Progress | None = None,
 ) -> MemoryFit:
     """Fit tau, and f if asked for.
@@ -90,24 +91,18 @@ def fit_memory(
             observation's own sequence, ``[n]``.
         with_frailty: Whether f is fitted too; else it is 0.
         chosen: Which outcomes count, ``[n]``; all if ``None``.
+        surface: What :func:`memory_surface` gives of these, if it is known.
         on_progress: Called with tracks done and tracks in all.
 
     Raises:
         PemError: Fewer than two sequences, or no obstacle is seen twice.
     """
-    if np.unique(tracks.sequence).size < FEWEST_SEQUENCES:
-        raise PemError("a memory needs tracks of at least two sequences for its interval")
-    if not tracks.follows.any():
-        raise PemError("no obstacle is observed twice: there is nothing to fit a memory to")
+    check_fittable(tracks)
     frailties = FRAILTY_GRID if with_frailty else FRAILTY_GRID[:1]
-    surface = log_likelihoods(
-        tracks,
-        logit,
-        taus_s=TAU_GRID_S,
-        frailties=frailties,
-        chosen=chosen,
-        on_progress=on_progress,
-    )
+    if surface is None:
+        surface = memory_surface(
+            tracks, logit, frailties=frailties, chosen=chosen, on_progress=on_progress
+        )
     observations = len(tracks) if chosen is None else int(np.count_nonzero(chosen))
     count = surface.shape[0]
     whole = Surface(surface.sum(axis=0), TAU_GRID_S, frailties)
@@ -129,6 +124,54 @@ def fit_memory(
         p_value=independence_p_value(whole, inflation=float(scale[TAU]), sequences=count),
         inflation=float(scale[TAU]),
         efficiency=whole.efficiency,
+    )
+
+
+def check_fittable(tracks: TrackTable) -> None:
+    """Whether there is anything to fit a memory to.
+
+    Raises:
+        PemError: Fewer than two sequences, or no obstacle is seen twice.
+    """
+    if np.unique(tracks.sequence).size < FEWEST_SEQUENCES:
+        raise PemError("a memory needs tracks of at least two sequences for its interval")
+    if not tracks.follows.any():
+        raise PemError("no obstacle is observed twice: there is nothing to fit a memory to")
+
+
+def memory_surface(
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    frailties: FloatArray = FRAILTY_GRID,
+    chosen: BoolArray | None = None,
+    on_progress: Progress | None = None,
+) -> FloatArray:
+    """Log likelihood of each sequence ``[S, taus, frailties]`` [nats] on the grid of tau."""
+    return log_likelihoods(
+        tracks, logit, taus_s=TAU_GRID_S, frailties=frailties, chosen=chosen,
+        on_progress=on_progress,
+    )  # fmt: skip
+
+
+def nested_memories(log_likelihood: FloatArray) -> tuple[Memory, Memory, Memory]:
+    """The likeliest memory time alone, frailty alone, and both.
+
+    Args:
+        log_likelihood: ``[taus, frailties]`` on the grids of :func:`memory_surface`.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  slow to import
+
+    alone = Surface(log_likelihood[:, :1], TAU_GRID_S, FRAILTY_GRID[:1])
+    both = Surface(log_likelihood, TAU_GRID_S, FRAILTY_GRID)
+    of_frailty = log_likelihood[0]  # even in f, as in Surface
+    mirrored = np.concatenate([of_frailty[:0:-1], of_frailty])
+    curve = CubicSpline(np.concatenate([-FRAILTY_GRID[:0:-1], FRAILTY_GRID]), mirrored)
+    fine = np.linspace(FRAILTY_GRID[0], FRAILTY_GRID[-1], FINE_FRAILTIES)
+    return (
+        Memory(tau_s=alone.tau_s),
+        Memory(frailty=float(fine[np.argmax(curve(fine))])),
+        Memory(tau_s=both.tau_s, frailty=both.frailty),
     )
 
 

@@ -5,7 +5,7 @@ that of a model which saw none of its sequence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import count, pairwise
 from pathlib import Path
@@ -19,12 +19,13 @@ from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
 from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable, TrackTable
 from pemviz.pem.fitting.fit import BOOSTED, ModelKind, fit_pem
-from pemviz.pem.fitting.memory import MemoryFit, fit_memory
+from pemviz.pem.fitting.memory import MemoryFit, check_fittable, fit_memory, memory_surface
 from pemviz.pem.judging.cross_validation import score
 from pemviz.pem.models import memory as memory_law
 from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.predictive_check import DISTANCE_BANDS_M, ModelCheck, check_table
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
 from pemviz.processes import map_in_processes
 
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 LAGS_S = (0.1, 0.2, 0.5, 1.0, 3.0)
 LAG_TOLERANCE = 0.5
 """Of a frame: how far a pair may be from a lag."""
-DISTANCE_BANDS_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 200.0))
 AHEAD_M = 1.5
 AHEAD_WITHIN_M = 40.0
 FEWEST_MISSES = 20
@@ -61,10 +61,12 @@ class MemoryReport:
             model or are independent; ``groups``, the memory time of all observations and of parts
             of them; ``plain_view``, counts of obstacles neither occluded nor truncated; gaps in
             tracks, changes of rate, and the most common rate.
+        surface: Log likelihood of each sequence ``[S, taus, frailties]``, which it rests on.
     """
 
     fit: MemoryFit
     tables: dict[str, Any]
+    surface: FloatArray | None = field(default=None, compare=False, repr=False)
 
 
 def report_memory(
@@ -125,6 +127,8 @@ def sample_outcomes(
         visibility = random.standard_normal(obstacles)[tracks.track]
         own[sample] = memory_law.frail_logit(logit, visibility=visibility, frailty=memory.frailty)
         uniforms[sample] = random.random(len(tracks))
+    if memory.tau_s == 0.0:
+        return uniforms < expit(own)
     rho = memory_law.persistence(tracks.since_s, memory.tau_s)
     detected = np.empty(own.shape, dtype=np.bool_)
     starts = np.flatnonzero(~tracks.follows)
@@ -263,15 +267,21 @@ def memory_line(report: MemoryReport) -> str:
 
 @dataclass(frozen=True)
 class CrossFitted:
-    """Logits ``[n]`` of models that saw none of an observation's sequence; in how many parts.
+    """Logits ``[n]`` of models that saw none of an observation's sequence.
 
     Attributes:
+        part: Which part of the sequences each observation is of ``[n]``, counted from 0.
         whole: The model of all sequences, where one was asked for.
     """
 
     logit: FloatArray
-    folds: int
+    part: IntArray
     whole: SingleModel | EnsemblePem | None = None
+
+    @property
+    def folds(self) -> int:
+        """How many parts."""
+        return int(self.part.max()) + 1
 
 
 Fit = Callable[[SalientTable], SingleModel | EnsemblePem]
@@ -330,12 +340,13 @@ def cross_fit(
             on_progress(next(done), len(tasks))
 
     answers = map_in_processes(_Task.answer, tasks, workers=workers, on_done=tell)
-    logit = np.empty(len(tracks))
-    for (_, held_out), (_, of_part) in zip(parts, answers[len(tasks) - folds :], strict=True):
-        logit[held_out] = of_part
+    logit, part_of = np.empty(len(tracks)), np.empty(len(tracks), dtype=np.int64)
+    for place, (_, of_part) in enumerate(answers[len(tasks) - folds :]):
+        held_out = parts[place][1]
+        logit[held_out], part_of[held_out] = of_part, place
     if model in BOOSTED:
         logit = _calibrated(logit, tracks.detected, [held_out for _, held_out in parts])
-    return CrossFitted(logit, folds, whole=None if whole is None else answers[0][0])
+    return CrossFitted(logit, part_of, whole=None if whole is None else answers[0][0])
 
 
 def _calibrated(logit: FloatArray, detected: BoolArray, parts: Sequence[IntArray]) -> FloatArray:
@@ -375,8 +386,10 @@ def fit_report(
     Raises:
         PemError: There is nothing to fit a memory to.
     """
-    fit = fit_memory(tracks, cross_fitted.logit, on_progress=on_progress)
-    return report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed)
+    check_fittable(tracks)
+    surface = memory_surface(tracks, cross_fitted.logit, on_progress=on_progress)
+    fit = fit_memory(tracks, cross_fitted.logit, surface=surface)
+    return replace(report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed), surface=surface)
 
 
 def with_memory(
@@ -385,18 +398,21 @@ def with_memory(
     *,
     cross_fitted: CrossFitted,
     report: MemoryReport,
+    check: ModelCheck,
     flattery: str = FLATTERY_IF,
 ) -> SingleModel | EnsemblePem:
     """The model of all tracks with their memory on its card, and scores by held-out sequences.
 
-    ``flattery`` says in words what the training of the detector does to its figures.
+    ``check`` is what these sequences say of it; ``flattery`` says in words what the training of the
+    detector does to its figures.
     """
     words = f"{cross_fitted.folds} folds of sequences"
     held_out = score(cross_fitted.logit, tracks.detected)
     scores = {f"bce, {words}": held_out.bce, f"brier, {words}": held_out.brier}
     if held_out.roc_auc is not None:
         scores[f"roc_auc, {words}"] = held_out.roc_auc
-    card = replace(pem.card, scores=scores, memory=memory_table(report, flattery=flattery))
+    table = memory_table(report, flattery=flattery)
+    card = replace(pem.card, scores=scores, memory=table, check=check_table(check))
     return replace(pem, card=card)
 
 

@@ -12,6 +12,12 @@ from typing import Any
 
 from pemviz.errors import PemError
 from pemviz.pem.models.memory import FRAILTY_MEANS, TAU_MEANS, Memory
+from pemviz.pem.models.predictive_check import (
+    CHECK_MEANS,
+    check_from_mapping,
+    check_rows,
+    verdict_lines,
+)
 
 Json = Mapping[str, Any]
 
@@ -80,6 +86,8 @@ class PemCard:
     """Counts of training obstacles and misses by distance; see pemviz.pem.data.support."""
     memory: Json = field(default_factory=dict[str, Any])
     """How misses hang together, if fitted to video; see :class:`FittedMemory`."""
+    check: Json = field(default_factory=dict[str, Any])
+    """What predictive checks found of it; a ``ModelCheck`` as JSON values."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +183,7 @@ def card_from_mapping(values: Json, *, where: str) -> PemCard:
     """
     _check_fields(values, PemCard, needed={"name", "model", "data", "licence"}, where=where)
     fitted_memory(values.get("memory", {}), where=where)
+    check_from_mapping(values.get("check", {}), where=where)
     seed = values.get("seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int):
         raise PemError(f"{where}: metadata field 'seed' must be a whole number")
@@ -272,8 +281,9 @@ def card_markdown(card: PemCard, *, digest: str) -> str:
         *((f"Score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
     ]
     limits = LIMITS.format(dependence=REMEMBERED if card.memory else SINGLE_OBSTACLES)
-    memory = memory_markdown(card.memory)
-    parts = [_head(f"Perception error model `{card.name}`", rows), *([memory] if memory else [])]
+    head = _head(f"Perception error model `{card.name}`", rows)
+    told = (memory_markdown(card.memory), check_markdown(card.check))
+    parts = [head, *(part for part in told if part)]
     return "\n".join([*parts, f"{limits}\n"])
 
 
@@ -357,6 +367,20 @@ def memory_markdown(memory: Json) -> str:
             ),
         ]
     return "\n\n".join(["## Memory of misses", *("\n".join(part) for part in parts if part)]) + "\n"
+
+
+def check_markdown(check: Json) -> str:
+    """The card's section on predictive checks; empty for a model without.
+
+    Raises:
+        PemError: The table is not as pemviz writes it.
+    """
+    found = check_from_mapping(check, where="card")
+    if found is None:
+        return ""
+    facts = "\n".join(f"- {line}" for line in (*verdict_lines(found), CHECK_MEANS))
+    table = "\n".join(_table(*check_rows(found)))
+    return f"## Predictive checks\n\n{facts}\n\n{table}\n"
 
 
 def _memory_facts(memory: Json) -> list[str]:

@@ -1,0 +1,186 @@
+"""``pemviz pem check``: does an error model give tracks like those that were observed?"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pemviz.cli.bars import progress_bar
+from pemviz.cli.help import HelpPage
+from pemviz.cli.pem.memory import STATELESS, cross_fitted
+from pemviz.errors import PemError
+from pemviz.files.atomic import is_folder
+from pemviz.files.text_files import writing
+from pemviz.pem.data.position_errors import AXIS_COLUMNS, PLANE_COLUMNS, load_error_csv
+from pemviz.pem.data.table import TrackTable, csv_header, load_table, load_tracks
+from pemviz.pem.fitting.fit import ModelKind
+from pemviz.pem.model_files import load_pem, load_position_errors
+from pemviz.pem.models.cards import PemCard
+from pemviz.pem.models.predictive_check import DRAWS, FEWEST_DRAWS, MOST_DRAWS
+
+DEFAULT_KIND: ModelKind = "gb-raw"
+
+if TYPE_CHECKING:
+    from pemviz.pem.judging.position_error_check import ErrorLaw
+    from pemviz.pem.judging.predictive_check import Checked
+
+PAGE = HelpPage(
+    text="""
+usage: pemviz pem check --table tracks.csv [--model NAME | --pem FILE] [OPTIONS]
+Does an error model give tracks like those that were observed? How long they are
+missed, how often close by, from where on they are seen; independent, with a
+memory time, with a frailty, with both.
+
+What is checked
+  --table FILE           tracks of 'pemviz pem collect', or of your own
+  --model gb-raw         a kind of model; a part of the sequences is told by a
+                         model of the others (--folds 5)
+  --pem FILE             or a fitted model, against tracks that it has not seen
+  --position-errors FILE with --pem: also its errors of positions
+  --rate-hz 10           frames a second, where the table does not tell
+How
+  --draws 999            data sets drawn from each; --seed N
+What comes out
+  --out check.md         a page, and a picture beside it; --json
+Examples
+  pemviz pem check --table tracks.csv --model gb-raw --out check.md
+  pemviz pem check --table new-drives.csv --pem own.safetensors
+More: --help OPTION, such as --help draws; --help-all for everything""",
+)
+
+
+@dataclass(frozen=True)
+class CheckArguments:
+    """Compare tracks with data sets that an error model draws along them."""
+
+    table: Path
+    """Tracks: a CSV with sequence, frame, track, the salient columns and detected (0 or 1); with
+    the model guess-mu the salient columns may be missing. Errors of positions are checked where it
+    has them (x_error_m and z_error_m, or range_error_m and cross_range_error_m)."""
+    model: ModelKind | None = None
+    """Kind of model, fitted out of fold: each part of the sequences is told by a model, and a
+    memory, of the others; gb-raw if neither this nor pem is given."""
+    pem: str | None = None
+    """A fitted model instead: a file (.safetensors) or a shipped name; with the memory on its
+    card, if it has one."""
+    position_errors: str | None = None
+    """With pem: the model of position errors (a file, or a shipped name) that is checked beside
+    it; without, none is."""
+    folds: int = 5
+    """Parts of the sequences (2 or more); with model."""
+    rate_hz: float | None = None
+    """Frames a second, where the table has no column rate_hz (above 0)."""
+    draws: int = DRAWS
+    """Data sets drawn from each variant (799 to 100000)."""
+    seed: int = 0
+    """Seed of fits and draws (0 or more)."""
+    out: Path | None = None
+    """Page of markdown to write (.md), and a picture of the same name (.png); none if not given."""
+    json: bool = False
+    """Print the results as one JSON object instead of text."""
+    allow_python: bool = False
+    """Allow a model named module:attribute, which runs that module's code."""
+
+
+def run(arguments: CheckArguments) -> int:
+    """Draw, compare, tell; gives the exit code.
+
+    Raises:
+        PemError: Bad arguments or table; one line says what, where and what is allowed.
+    """
+    _validate(arguments)
+    checked = _of_pem(arguments) if arguments.pem is not None else _of_kind(arguments)
+    from pemviz.pem.judging.check_picture import write_check_picture  # noqa: PLC0415  scipy
+    from pemviz.reports.check_document import check_document  # noqa: PLC0415
+    from pemviz.reports.markdown import document_markdown  # noqa: PLC0415
+    from pemviz.reports.terminal import print_document  # noqa: PLC0415
+
+    name = arguments.pem or arguments.model or DEFAULT_KIND
+    document = check_document(checked.check, model=name, table=arguments.table.stem)
+    if arguments.out is not None:
+        picture = arguments.out.with_suffix(".png")
+        page = f"{document_markdown(document)}\n![{document.title}]({picture.name})\n"
+        with writing(arguments.out):
+            arguments.out.write_text(page, encoding="utf-8")
+            write_check_picture(checked, picture, title=document.title)
+    if arguments.json:
+        print(json.dumps({"check": asdict(checked.check)}, allow_nan=False))
+        return 0
+    print_document(document)
+    return 0
+
+
+def _of_kind(arguments: CheckArguments) -> "Checked":
+    """A kind of model, each part of the sequences told by the others."""
+    from pemviz.pem.fitting.memory import check_fittable, memory_surface  # noqa: PLC0415  scipy
+    from pemviz.pem.judging.position_error_check import cross_fitted_law  # noqa: PLC0415
+    from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
+
+    model = arguments.model or DEFAULT_KIND
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, needs_state=model != STATELESS)
+    check_fittable(tracks)
+    held_out = cross_fitted(tracks, model=model, folds=arguments.folds, seed=arguments.seed)
+    with progress_bar("memory of misses") as tell:
+        surface = memory_surface(tracks, held_out.logit, on_progress=tell)
+    errors: ErrorLaw | None = None
+    if _has_errors(arguments.table):
+        table = load_error_csv(arguments.table, rate_hz=arguments.rate_hz)
+        with progress_bar("position errors") as tell:
+            errors = cross_fitted_law(table, seed=arguments.seed, on_progress=tell)
+    with progress_bar("data sets") as tell:
+        return check_held_out(
+            tracks, held_out, surface, errors=errors, draws=arguments.draws, seed=arguments.seed,
+            on_progress=tell,
+        )  # fmt: skip
+
+
+def _of_pem(arguments: CheckArguments) -> "Checked":
+    """A fitted model against tracks, with what its card knows of its memory."""
+    from pemviz.pem.judging.position_error_check import law_of_model  # noqa: PLC0415  scipy
+    from pemviz.pem.judging.predictive_check import check_model  # noqa: PLC0415
+
+    assert arguments.pem is not None  # noqa: S101  asked for above
+    pem = load_pem(arguments.pem, allow_python=arguments.allow_python)
+    errors: ErrorLaw | None = None
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    if arguments.position_errors is not None:
+        model = load_position_errors(arguments.position_errors)
+        errors = law_of_model(load_error_csv(arguments.table, rate_hz=arguments.rate_hz), model)
+    card: object = getattr(pem, "card", None)
+    same = isinstance(card, PemCard) and _is_of(card, tracks, arguments.table)
+    with progress_bar("data sets") as tell:
+        return check_model(
+            tracks, pem, errors=errors, same_data=same, draws=arguments.draws,
+            seed=arguments.seed, on_progress=tell,
+        )  # fmt: skip
+
+
+def _is_of(card: PemCard, tracks: TrackTable, path: Path) -> bool:
+    """Whether a card says that its model was fitted to these rows, as they stand or sorted."""
+    return card.data_digest in (tracks.obstacles.digest, load_table(path).digest)
+
+
+def _has_errors(table: Path) -> bool:
+    header = set(csv_header(table))
+    along = {name for axis, name in AXIS_COLUMNS.items() if axis != "speed"}
+    return bool(header) and (along <= header or set(PLANE_COLUMNS) <= header)
+
+
+def _validate(arguments: CheckArguments) -> None:
+    if arguments.pem is not None and arguments.model is not None:
+        raise PemError("model: not with pem, which is fitted already; give one of them")
+    if arguments.position_errors is not None and arguments.pem is None:
+        raise PemError("position_errors: only with pem; with model they are fitted out of fold")
+    if arguments.folds < 2:
+        raise PemError(f"folds is {arguments.folds}, allowed: 2 or more")
+    if arguments.seed < 0:
+        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    if not FEWEST_DRAWS <= arguments.draws <= MOST_DRAWS:
+        raise PemError(f"draws is {arguments.draws}, allowed: {FEWEST_DRAWS} to {MOST_DRAWS}")
+    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
+        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
+    if arguments.out is not None:
+        if arguments.out.suffix != ".md":
+            raise PemError(f"out is {str(arguments.out)!r}, must end in .md")
+        if not is_folder(arguments.out.parent):
+            raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
