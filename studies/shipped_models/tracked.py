@@ -19,6 +19,7 @@ from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
 from pemviz.pem.judging.memory_report import cross_fit, fit_report, memory_line, with_memory
+from pemviz.pem.judging.predictive_check import check_fitted
 from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, save_pem
 from pemviz.pem.models.cards import KITTI_LICENCE, card_markdown
 
@@ -119,7 +120,15 @@ def run(arguments: ShipTrackedArguments) -> int:
         report = fit_report(tracks, held_out)
         provenance = provenance_of(detector, tracks)
         whole = fit_pem(tracks.obstacles, model=KIND, name=name, provenance=provenance)
-        pem = with_memory(whole, tracks, cross_fitted=held_out, report=report, flattery=FLATTERY)
+        print(f"{name}: predictive checks", file=sys.stderr)
+        pem = with_memory(
+            whole,
+            tracks,
+            cross_fitted=held_out,
+            report=report,
+            check=check_fitted(tracks, held_out, report).check,
+            flattery=FLATTERY,
+        )
         save_pem(pem, folder / f"{name}{SUFFIX}")
         text = card_markdown(pem.card, digest=pem.digest)
         (folder / f"{name}.md").write_text(text, encoding="utf-8")

@@ -139,7 +139,7 @@ def run(arguments: FitArguments) -> int:
 def _fit_with_memory(arguments: FitArguments) -> int:
     # scikit-learn and scipy take seconds to import
     from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
-    from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
+    from pemviz.pem.judging.predictive_check import check_fitted  # noqa: PLC0415
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     source = tracks.obstacles.source
@@ -159,11 +159,8 @@ def _fit_with_memory(arguments: FitArguments) -> int:
         ),
     )
     assert held_out.whole is not None  # noqa: S101  asked for above
-    assert report.surface is not None  # noqa: S101  of fit_report
     with progress_bar("predictive checks") as tell:
-        checked = check_held_out(
-            tracks, held_out, report.surface, seed=arguments.seed, on_progress=tell
-        )
+        checked = check_fitted(tracks, held_out, report, seed=arguments.seed, on_progress=tell)
     pem = with_memory(
         held_out.whole, tracks, cross_fitted=held_out, report=report, check=checked.check
     )

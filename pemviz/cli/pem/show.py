@@ -30,7 +30,7 @@ from pemviz.pem.model_files import (
     shipped_pems,
     shipped_position_errors,
 )
-from pemviz.pem.models.cards import PemCard, memory_markdown
+from pemviz.pem.models.cards import PemCard, check_markdown, memory_markdown
 from pemviz.pem.models.protocol import CLASS_NAMES, OCCLUSION_NAMES, Pem
 
 ClassName = Literal["Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"]
@@ -109,11 +109,11 @@ def run(arguments: ShowArguments) -> int:
 
 
 def _show_memory(pem: Pem, console: Console, *, out: Path | None) -> None:
-    """What the model's card says of its memory, if it has one."""
+    """What the model's card says of its memory, if it has one, and of predictive checks."""
     card: object = getattr(pem, "card", None)
     if not isinstance(card, PemCard) or not card.memory:
         return
-    console.print(Markdown(memory_markdown(card.memory)))
+    console.print(Markdown(f"{memory_markdown(card.memory)}\n{check_markdown(card.check)}"))
     if out is not None:
         picture = out.with_name(f"{out.stem}-memory.png")
         with writing(picture):

@@ -25,6 +25,12 @@ VARIANT_WORDS: Mapping[Variant, str] = {
     "frailty": "with frailty",
     "both": "with both",
 }
+ANSWER_WORDS: Mapping[Variant, str] = {
+    "independent": "with misses independent",
+    "memory": "with a memory time alone",
+    "frailty": "with a frailty alone",
+    "both": "with its memory time and frailty",
+}
 DISTANCE_BANDS_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 200.0))
 QuantityName = Literal[
     "longest_run_s", "missed_0.5_s", "missed_1_s", "missed_2_s", "close_misses",
@@ -280,9 +286,9 @@ def data_words(check: ModelCheck) -> str:
     return f"{check.tracks:,} tracks of {check.sequences} sequences, {seen}"
 
 
-def variant_words(variant: CheckedVariant) -> str:
+def _in_an_answer(variant: CheckedVariant) -> str:
     """A variant's verdict in a sentence."""
-    name, wrong = VARIANT_WORDS[variant.name], variant.refuted
+    name, wrong = ANSWER_WORDS[variant.name], variant.refuted
     count = len(variant.quantities)
     if not wrong:
         return f"{name} none of {count} quantities is refuted"
@@ -298,7 +304,7 @@ def check_line(check: ModelCheck) -> str:
         checked += " that it was fitted to"
     if not check.variants:
         return f"{checked}, but not with a memory of misses as this answer assumes"
-    return f"{checked}; {'; '.join(map(variant_words, check.variants))}"
+    return f"{checked}; {'; '.join(map(_in_an_answer, check.variants))}"
 
 
 def check_rows(check: ModelCheck) -> tuple[Sequence[str], list[tuple[str, ...]]]:
