@@ -45,6 +45,7 @@ What comes out
 Examples
   pemviz pem check --table tracks.csv --model gb-raw --out check.md
   pemviz pem check --table new-drives.csv --pem own.safetensors
+  pemviz pem check --table boxes.csv --model guess-mu --json
 More: --help OPTION, such as --help draws; --help-all for everything""",
 )
 

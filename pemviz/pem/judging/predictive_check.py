@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from threading import Lock
+from threading import Event, Lock
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -55,7 +55,8 @@ from pemviz.pem.models.protocol import COLUMN, Pem
 from pemviz.processes import usable_cpus
 
 APPROACH_M = 5.0
-DRAWS_AT_ONCE = 50
+OUTCOMES_AT_ONCE = 1_000_000
+"""Of all draws that are worked on at a time: they stay in the memory that a laptop has."""
 DIGITS = 9
 """Decimals of a quantity: what differs by rounding alone is a tie."""
 ROUNDING_S = 1e-6
@@ -261,27 +262,36 @@ def check_tracks(
     observed = quantities.computed(tracks.detected[None])
     if errors is not None:
         observed.values.update(errors.observed())
-    done, lock = count(1), Lock()
+    done, lock, stopped = count(1), Lock(), Event()
+    at_once = max(1, min(draws, OUTCOMES_AT_ONCE // len(tracks)))
 
     def draw(place: int, variant: Variant) -> Drawn:
         batches: list[Drawn] = []
         root = np.random.SeedSequence(seed, spawn_key=(2, place))
-        outcomes_of = _draws(tracks, logit, part, memories[variant], draws=draws, root=root)
+        batch_sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
+        outcomes_of = _draws(tracks, logit, part, memories[variant], sizes=batch_sizes, root=root)
         for outcomes, random in outcomes_of:
+            if stopped.is_set():
+                break
             batches.append(quantities.computed(outcomes))
             if errors is not None:
                 of_errors = errors.drawn(variant, count=len(outcomes), random=random)
                 batches[-1].values.update(of_errors)
             if on_progress is not None:
                 with lock:
-                    on_progress(next(done), len(memories) * -(-draws // DRAWS_AT_ONCE))
+                    on_progress(next(done), len(memories) * len(batch_sizes))
         return Drawn(
             _joined([one.values for one in batches]), _joined([one.curves for one in batches])
         )
 
     # numpy lets go of the interpreter's lock; each variant has its own stream of random numbers
     with ThreadPoolExecutor(usable_cpus()) as threads:
-        drawn = dict(zip(memories, threads.map(draw, range(len(memories)), memories), strict=True))
+        each = threads.map(draw, range(len(memories)), memories)
+        try:
+            drawn = dict(zip(memories, each, strict=True))
+        except BaseException:  # such as Ctrl-C: the threads shall not go on to their end
+            stopped.set()
+            raise
     check = ModelCheck(
         tracks=quantities.starts.size,
         approaching=int(quantities.approaches.sum()),
@@ -425,18 +435,17 @@ def _draws(
     part: IntArray,
     memories: Sequence[Memory],
     *,
-    draws: int,
+    sizes: Sequence[int],
     root: np.random.SeedSequence,
 ) -> Iterator[tuple[BoolArray, np.random.Generator]]:
-    """Outcomes ``[B, n]`` of some draws at a time, and what else of them is drawn from.
+    """Outcomes ``[B, n]`` of so many draws at a time, and what else of them is drawn from.
 
     A draw is the same however many are drawn at a time.
     """
     *of_parts, rest = map(np.random.default_rng, root.spawn(len(memories) + 1))
     chosen = [part == each for each in range(len(memories))]
     tables = [tracks.only(rows) for rows in chosen]
-    for first in range(0, draws, DRAWS_AT_ONCE):
-        several = min(DRAWS_AT_ONCE, draws - first)
+    for several in sizes:
         outcomes = np.empty((several, len(tracks)), dtype=np.bool_)
         for rows, table, memory, random in zip(chosen, tables, memories, of_parts, strict=True):
             if rows.any():

@@ -197,8 +197,7 @@ class ModelCheck:
         sequences: In so many sequences of video.
         observations: Outcomes.
         draws: Data sets drawn from each variant.
-        folds: Parts of the sequences, each told by a model of the others; 0: by one that was
-            fitted elsewhere.
+        folds: Parts of the sequences, each told by a model of the others; 0: by one that is given.
         same_data: Whether the model's card says that it was fitted to these data.
         variants: Those that were checked, by the same quantities.
     """
@@ -278,7 +277,7 @@ def wrong_words(one: CheckedQuantity) -> str:
 
 def data_words(check: ModelCheck) -> str:
     """On how many tracks it was checked, and what these are to it."""
-    seen = "that it had not seen"
+    seen = "which are not the table that it was fitted to"
     if check.same_data:
         seen = "which are the data that it was fitted to, so that they flatter it"
     elif check.folds:
