@@ -198,3 +198,11 @@ def test_saving_a_model_without_a_check_leaves_no_entry(tmp_path):
     path = tmp_path / "plain.safetensors"
     save_pem(load_pem("ml-nn"), path)
     assert b'"check"' not in path.read_bytes()
+
+
+def test_a_table_of_one_outcome_teaches_nothing(tmp_path, capsys):
+    """Whatever the kind: trees would be fitted to it without a complaint."""
+    table = write_tracks(tmp_path / "tracks.csv", missed=0.0)
+    for kind in ("lr", "gb-raw"):
+        assert check("--table", table, "--model", kind, "--folds", 3) == 2
+        assert "obstacles were detected" in capsys.readouterr().err

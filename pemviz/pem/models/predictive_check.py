@@ -353,7 +353,7 @@ def verdict_lines(check: ModelCheck) -> list[str]:
 def _verdict(variant: CheckedVariant) -> str:
     name = VARIANT_WORDS[variant.name]
     if variant.name != "independent":
-        name += f" (memory time {variant.tau_s:.2g} s, frailty {variant.frailty:.2g})"
+        name += f" (memory time {variant.tau_s:.2f} s, frailty {variant.frailty:.2f})"
     count, wrong = len(variant.quantities), variant.refuted
     said = f"{name[0].upper()}{name[1:]} the model reproduces"
     if not wrong:
