@@ -3,9 +3,10 @@
 import json
 import math
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import getitem
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ from pemviz.errors import InputError
 from pemviz.files.atomic import document_digest, file_digest
 from pemviz.panel.loading import load_run
 from pemviz.panel.recordings_folder import RecordingsFolder
-from pemviz.runs.experiment import build_experiment
+from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.rollout_files import part_path
 from pemviz.runs.run_folder import carry_out
-from tests.faults.test_resume import StopAfter, contents
+from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.runs.test_reading import RULES, SMALL
 from tests.runs.test_result_file import changed, paths
 
@@ -238,36 +239,50 @@ def test_whatever_single_value_is_changed_is_found(made, tmp_path, data):
     assert "\n" not in str(refused.value)
 
 
-def test_an_edited_stage_of_an_unfinished_run_is_computed_again(tmp_path, caplog):
-    folders = [tmp_path / name / "run" for name in ("whole", "edited")]
-    experiment = build_experiment(replace(CONFIG, repetitions=1))
-    for folder in folders:
-        folder.mkdir(parents=True)
+@dataclass(frozen=True)
+class Unfinished:
+    """A run that was stopped after three stages, one of another seed, and what the first became."""
+
+    experiment: Experiment
+    stopped: Path
+    other: Path
+    whole: Path
+
+
+@pytest.fixture(scope="module")
+def unfinished(tmp_path_factory):
+    root = tmp_path_factory.mktemp("unfinished")
+    stopped, other, whole = (folder_of(root, name) for name in ("stopped", "other", "whole"))
+    one, another = (
+        build_experiment(replace(CONFIG, repetitions=1, seed=seed))
+        for seed in (CONFIG.seed, CONFIG.seed + 1)
+    )
+    for experiment, folder in ((one, stopped), (another, other)):
         stop = StopAfter(3)
         carry_out(experiment, folder, observers=[stop], should_stop=stop)
-    path = part_path(folders[1], repetition=0, stage=1)
+    carry_out(one, whole)
+    return Unfinished(one, stopped, other, whole)
+
+
+def test_an_edited_stage_of_an_unfinished_run_is_computed_again(unfinished, tmp_path, caplog):
+    edited = shutil.copytree(unfinished.stopped, tmp_path / "run")
+    path = part_path(edited, repetition=0, stage=1)
     with np.load(path) as arrays:
         table = {name: arrays[name] for name in arrays.files}
     np.savez(path, **{**table, "violated": ~table["violated"]})
     with pytest.raises(InputError, match="was changed since it was written"):
-        load_run(folders[1])
-    for folder in folders:
-        carry_out(experiment, folder)
+        load_run(edited)
+    carry_out(unfinished.experiment, edited)
     assert "was changed since it was written" in caplog.text
     assert "it is computed again" in caplog.text
-    assert contents(folders[1]) == contents(folders[0])
+    assert contents(edited) == contents(unfinished.whole)
 
 
 @pytest.mark.parametrize("what", ["digest", "place", "seed", "settings"])
-def test_a_stage_that_is_not_this_runs_is_computed_again(tmp_path, what):
+def test_a_stage_that_is_not_this_runs_is_computed_again(what, unfinished, tmp_path):
     """Edited and without a digest, of another stage or seed, or of settings that were others."""
-    whole, edited, other = (tmp_path / name / "run" for name in ("whole", "edited", "other"))
-    experiment = build_experiment(replace(CONFIG, repetitions=1))
-    another = build_experiment(replace(CONFIG, repetitions=1, seed=CONFIG.seed + 1))
-    for folder, one in ((whole, experiment), (edited, experiment), (other, another)):
-        folder.mkdir(parents=True)
-        stop = StopAfter(3)
-        carry_out(one, folder, observers=[stop], should_stop=stop)
+    begun = unfinished.other if what == "settings" else unfinished.stopped
+    edited = shutil.copytree(begun, tmp_path / "run")
     before, last = (part_path(edited, repetition=0, stage=stage) for stage in (1, 2))
     if what == "digest":
         with np.load(last) as arrays:
@@ -276,12 +291,10 @@ def test_a_stage_that_is_not_this_runs_is_computed_again(tmp_path, what):
     elif what == "place":
         last.write_bytes(before.read_bytes())
     elif what == "seed":
-        last.write_bytes(part_path(other, repetition=0, stage=2).read_bytes())
+        last.write_bytes(part_path(unfinished.other, repetition=0, stage=2).read_bytes())
     else:
-        edited = other
         (edited / "result.json").unlink()
-        (edited / "config.toml").write_bytes((whole / "config.toml").read_bytes())
-    for folder in (whole, edited):
-        carry_out(experiment, folder)
+        shutil.copy(unfinished.stopped / "config.toml", edited)
+    carry_out(unfinished.experiment, edited)
     read_result(edited)
-    assert contents(edited) == contents(whole)
+    assert contents(edited) == contents(unfinished.whole)

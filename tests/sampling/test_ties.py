@@ -84,10 +84,9 @@ def test_the_boundary_is_worth_a_factor():
 
 
 @pytest.mark.parametrize("spec", [SPECS[0], SPECS[1], SPECS[3], SPECS[5]])
-@pytest.mark.parametrize("metric", ["classical", "agm", "smooth-cumulative"])
-def test_the_value_function_is_exact(spec, metric):
+def test_the_value_function_is_exact(spec):
     """The estimate at 4.5 standard errors: a false alarm in 8e-5 of all choices of its seeds."""
-    one = experiment(spec, method="zero-variance", metric=metric, final_rollouts=200)
+    one = experiment(spec, method="zero-variance", final_rollouts=200)
     assert math.exp(exact_log_probability(one.problem, twin=WALK)) == pytest.approx(truth(spec))
     found = pemviz.run(one).estimate
     assert abs(found.probability - truth(spec)) < 4.5 * found.std_error
@@ -100,18 +99,20 @@ SAMPLED = {
     "splitting": {"rollouts": 200, "repetitions": 4},  # of five runs each
     "subset": {"rollouts": 1_500},
 }
+LEARNING = ("mixture", "splitting", "subset")
+"""Which the metric leads; whatever it is, the others draw and count the same."""
 
 
 @pytest.mark.parametrize("spec", [*SPECS[:4], *SPECS[5:]])
 @pytest.mark.parametrize(
     ("method", "metric"),
     [
-        *((method, metric) for method in SAMPLED for metric in ("classical", "agm")),
-        *((method, "smooth-cumulative") for method in ("mixture", "splitting", "subset")),
+        *((method, "classical") for method in SAMPLED),
+        *((method, metric) for method in LEARNING for metric in ("agm", "smooth-cumulative")),
     ],
 )
 def test_every_method_counts_what_the_definition_counts(method, metric, spec):
-    """Tests at 4.5 standard errors of 104 fixed seeds: a false alarm in 7e-3 of all choices.
+    """Tests at 4.5 standard errors of 88 fixed seeds: a false alarm in 7e-3 of all choices.
 
     Nearly all of that is splitting's: 24 errors from 20 runs each, Student's t.
 
