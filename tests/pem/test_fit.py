@@ -107,6 +107,16 @@ def test_normalisation_comes_from_the_table_alone(table):
     assert pem.pose_mean[2] == pytest.approx(far.salient[:, 9].mean(), rel=1e-12)
 
 
+@pytest.mark.parametrize("value", [1.84, -1.57, 1.65, 0.1, 1.0e4 / 3.0])
+def test_a_column_that_does_not_vary_maps_to_nothing(table, value):
+    for count in (100, 1000, 2999):
+        still = table.salient[np.arange(count) % len(table)].copy()
+        still[:, [8, 10]] = value  # y_m, rotation_y_rad
+        _, std = pose_statistics(still)
+        assert std[[1, 3]].tolist() == [1.0, 1.0]
+        assert (std[[0, 2]] > 1.5).all()
+
+
 @pytest.mark.parametrize("model", ["guess-mu", "lr", "ml-nn", "gb-paper", "gb-raw"])
 def test_a_table_with_one_outcome_is_refused(table, model):
     rows = np.flatnonzero(table.detected)

@@ -48,6 +48,8 @@ BATCH_NORM_EPSILON = 1e-5
 
 _POSE = slice(POSE_INDEX[0], POSE_INDEX[-1] + 1)
 _FIRST_POSE = len(CLASS_NAMES) + len(OCCLUSION_NAMES)
+LEAST_SPREAD = 1e-9
+"""Of a column [m, rad], or of its mean: below it a column does not vary."""
 
 
 def paper_inputs(
@@ -76,11 +78,14 @@ def paper_inputs(
 def pose_statistics(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean and (sample) standard deviation of x, y, z and rotation_y over rows [n, 11].
 
-    A column that does not vary gets standard deviation 1, so that it maps to 0.
+    A column that does not vary gets standard deviation 1, so that it maps to 0: its own, by
+    rounding, need not be 0, and divided by it any other value would be billions.
     """
     pose = rows[:, _POSE]
+    mean = pose.mean(axis=0)
     std = pose.std(axis=0, ddof=1) if len(rows) > 1 else np.zeros(len(POSE_COLUMNS))
-    return pose.mean(axis=0), np.where(std > 0.0, std, 1.0)
+    varies = std > LEAST_SPREAD * np.maximum(np.abs(mean), 1.0)
+    return mean, np.where(varies, std, 1.0)
 
 
 @dataclass(frozen=True)
