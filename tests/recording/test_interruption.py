@@ -64,7 +64,7 @@ def test_a_failed_run_leaves_a_whole_file_that_says_why(tmp_path):
     calls = iter(range(100))
 
     def robustness(signals):
-        if next(calls) == 2:
+        if next(calls) == 4:  # two a stage: its rollouts, and some of them on the twin
             raise ValueError("the metric broke")
         return np.min(signals["gap"], axis=1) - 2.0
 
@@ -103,8 +103,9 @@ def test_another_simulator_is_recorded_without_the_scene(tmp_path):
         violated=lambda signals: np.min(signals["gap"], axis=1) < 0.0,
     )
     path = tmp_path / "run.rrd"
+    alone = replace(experiment.back_end, twin=None)
     run(
-        replace(experiment, problem=problem, ensemble=None, model_classes=()),
+        replace(experiment, problem=problem, back_end=alone, ensemble=None, model_classes=()),
         observers=[Recorder(path)],
     )
     assert verify(path).returncode == 0
