@@ -19,7 +19,7 @@ from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
 from pemviz.pem.judging.memory_report import cross_fit, fit_report, memory_line, with_memory
-from pemviz.pem.judging.predictive_check import check_fitted
+from pemviz.pem.judging.predictive_check import check_held_out
 from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, save_pem
 from pemviz.pem.models.cards import KITTI_LICENCE, card_markdown
 
@@ -126,7 +126,7 @@ def run(arguments: ShipTrackedArguments) -> int:
             tracks,
             cross_fitted=held_out,
             report=report,
-            check=check_fitted(tracks, held_out, report).check,
+            check=check_held_out(tracks, held_out, report.surface).check,
             flattery=FLATTERY,
         )
         save_pem(pem, folder / f"{name}{SUFFIX}")

@@ -33,8 +33,9 @@ from pemviz.pem.fitting.memory import (
 )
 from pemviz.pem.judging.independence import POWER, check_independence, expected_gain, needed_sample
 from pemviz.pem.judging.memory_report import (
+    CrossFitted,
     cross_fit,
-    report_memory,
+    fit_report,
     residual_correlation,
     run_lengths,
     sample_outcomes,
@@ -306,9 +307,8 @@ def test_misses_of_one_sequence_alone_are_refused(model):
 
 def test_a_report_holds_what_a_card_shows():
     table, own = draw_tracks(seed=3, tau_s=0.2, frailty=0.0, sequences=10)
-    fit = fit_memory(table, own, with_frailty=False)
-    report = report_memory(table, own, fit=fit)
-    tables = report.tables
+    held_out = CrossFitted(own, part=np.zeros(len(table), dtype=np.int64))
+    tables = fit_report(table, held_out).tables
     assert tables["groups"][0]["observations"] == len(table)
     assert sum(tables["run_lengths"]) > 0
     lags = [each["lag_s"] for each in tables["correlations"] if each["pairs"]]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from pemviz.cli.bars import progress_bar
 from pemviz.cli.help import HelpPage
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.memory import STATELESS, cross_fitted
 from pemviz.errors import PemError
-from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
 from pemviz.pem.data.position_errors import AXIS_COLUMNS, PLANE_COLUMNS, load_error_csv
 from pemviz.pem.data.table import TrackTable, csv_header, load_table, load_tracks
@@ -174,14 +174,8 @@ def _validate(arguments: CheckArguments) -> None:
         raise PemError("position_errors: only with pem; with model they are fitted out of fold")
     if arguments.folds < 2:
         raise PemError(f"folds is {arguments.folds}, allowed: 2 or more")
-    if arguments.seed < 0:
-        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    check_seed(arguments.seed)
     if not FEWEST_DRAWS <= arguments.draws <= MOST_DRAWS:
         raise PemError(f"draws is {arguments.draws}, allowed: {FEWEST_DRAWS} to {MOST_DRAWS}")
-    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
-        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
-    if arguments.out is not None:
-        if arguments.out.suffix != ".md":
-            raise PemError(f"out is {str(arguments.out)!r}, must end in .md")
-        if not is_folder(arguments.out.parent):
-            raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
+    check_rate_hz(arguments.rate_hz)
+    check_out(arguments.out, ending=".md")

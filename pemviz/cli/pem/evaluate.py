@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pemviz.cli.bars import progress_bar
+from pemviz.cli.pem.checks import check_seed
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import load_table
@@ -117,8 +118,7 @@ def _table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
 def _check(arguments: EvaluateArguments) -> None:
     if not arguments.models:
         raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
-    if arguments.seed < 0:
-        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    check_seed(arguments.seed)
     if not 1 <= arguments.workers <= 64:
         raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")
 

@@ -11,6 +11,7 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.cli.bars import progress_bar
 from pemviz.cli.help import HelpPage
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.memory import (
     fitted_memory,
     judged,
@@ -19,7 +20,6 @@ from pemviz.cli.pem.memory import (
 )
 from pemviz.cli.pem.position_errors import write_position_errors
 from pemviz.errors import PemError
-from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
 from pemviz.pem.data.position_errors import load_error_table
 from pemviz.pem.data.table import SalientTable, load_table, load_tracks
@@ -139,7 +139,7 @@ def run(arguments: FitArguments) -> int:
 def _fit_with_memory(arguments: FitArguments) -> int:
     # scikit-learn and scipy take seconds to import
     from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
-    from pemviz.pem.judging.predictive_check import check_fitted  # noqa: PLC0415
+    from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
     source = tracks.obstacles.source
@@ -160,7 +160,9 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     )
     assert held_out.whole is not None  # noqa: S101  asked for above
     with progress_bar("predictive checks") as tell:
-        checked = check_fitted(tracks, held_out, report, seed=arguments.seed, on_progress=tell)
+        checked = check_held_out(
+            tracks, held_out, report.surface, seed=arguments.seed, on_progress=tell
+        )
     pem = with_memory(
         held_out.whole, tracks, cross_fitted=held_out, report=report, check=checked.check
     )
@@ -192,12 +194,8 @@ def _fit_position_errors(arguments: FitArguments) -> int:
 
 
 def _validate(arguments: FitArguments) -> None:
-    if arguments.out.suffix != SUFFIX:
-        raise PemError(f"out is {str(arguments.out)!r}, must end in {SUFFIX}")
-    if not is_folder(arguments.out.parent):
-        raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
-    if arguments.seed < 0:
-        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
+    check_out(arguments.out, ending=SUFFIX)
+    check_seed(arguments.seed)
     if arguments.members < 0 or arguments.members == 1:
         raise PemError(f"members is {arguments.members}, allowed: 0, or 2 or more")
     if arguments.members and arguments.model == "b-nn":
@@ -210,8 +208,7 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError("tails: only with position errors")
     if arguments.memory and arguments.folds < 2:
         raise PemError(f"folds is {arguments.folds}, allowed with memory: 2 or more")
-    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
-        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
+    check_rate_hz(arguments.rate_hz)
     if arguments.folds < 0 or arguments.folds == 1:
         raise PemError(f"folds is {arguments.folds}, allowed: 0, or 2 or more")
 

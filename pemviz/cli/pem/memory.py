@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pemviz.cli.bars import progress_bar
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.evaluate import QUICK_MODELS
-from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind
@@ -56,12 +56,9 @@ def run(arguments: MemoryArguments) -> int:
     Raises:
         PemError: bad arguments or table; one line says what, where and what is allowed.
     """
-    if arguments.seed < 0:
-        raise PemError(f"seed is {arguments.seed}, allowed: 0 or more")
-    if arguments.rate_hz is not None and not 0.0 < arguments.rate_hz < float("inf"):
-        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0")
-    if arguments.out is not None and arguments.out.suffix != ".md":
-        raise PemError(f"out is {str(arguments.out)!r}, must end in .md")
+    check_seed(arguments.seed)
+    check_rate_hz(arguments.rate_hz)
+    check_out(arguments.out, ending=".md")
     tracks = load_tracks(
         arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
     )

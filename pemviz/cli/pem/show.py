@@ -9,9 +9,9 @@ import tyro
 from rich.console import Console
 from rich.markdown import Markdown
 
+from pemviz.cli.pem.checks import check_out
 from pemviz.cli.pem.position_errors import show_position_errors
 from pemviz.errors import PemError
-from pemviz.files.atomic import is_folder
 from pemviz.files.text_files import writing
 from pemviz.pem.data.support import support_check, support_of
 from pemviz.pem.judging.distance_curve import (
@@ -131,8 +131,4 @@ def _validate(arguments: ShowArguments) -> None:
         raise PemError(f"rotation_y_rad is {arguments.rotation_y_rad:g}, allowed: -pi to pi")
     if not abs(arguments.x_m) <= 100.0:
         raise PemError(f"x_m is {arguments.x_m:g}, allowed: -100 to 100")
-    if arguments.out is not None:
-        if arguments.out.suffix != ".png":
-            raise PemError(f"out is {str(arguments.out)!r}, must end in .png")
-        if not is_folder(arguments.out.parent):
-            raise PemError(f"out: no folder {str(arguments.out.parent)!r}")
+    check_out(arguments.out, ending=".png")

@@ -244,6 +244,11 @@ class TrackTable:
         return same
 
     @cached_property
+    def by_place(self) -> list[IntArray]:
+        """Rows in the order in which outcomes follow each other; see :func:`rows_by_place`."""
+        return rows_by_place(np.flatnonzero(~self.follows), count=len(self))
+
+    @cached_property
     def since_s(self) -> FloatArray:
         """Time since the track's observation before [s], ``[n]``; infinite at its first."""
         frames = np.diff(self.frame, prepend=self.frame[:1]).astype(np.float64)
@@ -267,6 +272,16 @@ class TrackTable:
         """How often the rate changes within a track."""
         changed = np.diff(self.rate_hz, prepend=self.rate_hz[:1]) != 0.0
         return int(np.count_nonzero(changed & self.follows))
+
+
+def rows_by_place(starts: IntArray, *, count: int) -> list[IntArray]:
+    """The first rows of all tracks, then the second of those that go on, and so forth.
+
+    Tracks of ``count`` rows begin at ``starts [K]``, ascending.
+    """
+    place = np.arange(count) - np.repeat(starts, np.diff(np.append(starts, count)))
+    order = np.argsort(place, kind="stable")
+    return np.split(order, np.searchsorted(place[order], np.arange(1, int(place.max()) + 1)))
 
 
 def track_table(

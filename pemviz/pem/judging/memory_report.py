@@ -7,12 +7,12 @@ that of a model which saw none of its sequence.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, ndtr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.colors import BLACK, BLUE, GREY, VERMILLION
@@ -66,16 +66,27 @@ class MemoryReport:
 
     fit: MemoryFit
     tables: dict[str, Any]
-    surface: FloatArray | None = field(default=None, compare=False, repr=False)
+    surface: FloatArray = field(compare=False, repr=False)
 
 
-def report_memory(
-    tracks: TrackTable, logit: FloatArray, *, fit: MemoryFit, seed: int = 0
+def fit_report(
+    tracks: TrackTable,
+    cross_fitted: "CrossFitted",
+    *,
+    seed: int = 0,
+    on_progress: Progress | None = None,
 ) -> MemoryReport:
-    """Compare the data with outcomes that are sampled from the fitted model.
+    """The memory of tracks, and the data beside outcomes that are sampled from the fitted model.
 
-    ``logit [n]`` are the out-of-fold logits that the memory was fitted with.
+    ``on_progress`` is called with tracks done and tracks in all.
+
+    Raises:
+        PemError: There is nothing to fit a memory to.
     """
+    check_fittable(tracks)
+    logit = cross_fitted.logit
+    surface = memory_surface(tracks, logit, on_progress=on_progress)
+    fit = fit_memory(tracks, logit, surface=surface)
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
 
     def sampled(memory: Memory) -> BoolArray:
@@ -105,7 +116,7 @@ def report_memory(
         "rate_changes": tracks.rate_changes,
         "rate_hz": float(rates[np.argmax(counts)]),
     }
-    return MemoryReport(fit, tables)
+    return MemoryReport(fit, tables, surface)
 
 
 def sample_outcomes(
@@ -120,27 +131,24 @@ def sample_outcomes(
 
     A sample is the same however many others are drawn after it.
     """
-    obstacles = int(tracks.track.max()) + 1
+    obstacles, frailty = int(tracks.track.max()) + 1, memory.frailty
+    # the law of P(missed), not of its logit: nothing here needs its small digits
+    quantile = memory_law.miss_quantile(logit) * np.sqrt(1.0 + frailty**2)
     own = np.empty((samples, len(tracks)))
     uniforms = np.empty_like(own)
     for sample in range(samples):
         visibility = random.standard_normal(obstacles)[tracks.track]
-        own[sample] = memory_law.frail_logit(logit, visibility=visibility, frailty=memory.frailty)
+        own[sample] = ndtr(quantile + frailty * visibility) if frailty else expit(-logit)
         uniforms[sample] = random.random(len(tracks))
     if memory.tau_s == 0.0:
-        return uniforms < expit(own)
+        return uniforms < 1.0 - own
     rho = memory_law.persistence(tracks.since_s, memory.tau_s)
     detected = np.empty(own.shape, dtype=np.bool_)
-    starts = np.flatnonzero(~tracks.follows)
-    place = np.arange(len(tracks)) - np.repeat(starts, np.diff(np.append(starts, len(tracks))))
-    order = np.argsort(place, kind="stable")
-    edges = np.searchsorted(place[order], np.arange(int(place.max()) + 2))
-    for first, last in pairwise(edges.tolist()):
-        rows = order[first:last]
+    for place, rows in enumerate(tracks.by_place):
         fresh = own[:, rows]
-        before = np.zeros(fresh.shape, dtype=np.bool_) if first == 0 else ~detected[:, rows - 1]
-        chance = expit(memory_law.remembering_logit(fresh, missed_before=before, rho=rho[rows]))
-        detected[:, rows] = uniforms[:, rows] < chance
+        before = np.zeros(fresh.shape, dtype=np.bool_) if place == 0 else ~detected[:, rows - 1]
+        missed = fresh + (before - fresh) * rho[rows]
+        detected[:, rows] = uniforms[:, rows] < 1.0 - missed
     return detected
 
 
@@ -373,23 +381,6 @@ class _Task:
         """The model, and its logits of the rows that are asked about."""
         pem = self.fit(self.table if self.train is None else self.table.take(self.train))
         return pem, pem.logit(self.table.salient[self.asked])
-
-
-def fit_report(
-    tracks: TrackTable, cross_fitted: CrossFitted, *, seed: int = 0,
-    on_progress: Progress | None = None,
-) -> MemoryReport:  # fmt: skip
-    """The memory of tracks and how well it tells them; see :func:`fit_memory`.
-
-    ``on_progress`` is called with tracks done and tracks in all.
-
-    Raises:
-        PemError: There is nothing to fit a memory to.
-    """
-    check_fittable(tracks)
-    surface = memory_surface(tracks, cross_fitted.logit, on_progress=on_progress)
-    fit = fit_memory(tracks, cross_fitted.logit, surface=surface)
-    return replace(report_memory(tracks, cross_fitted.logit, fit=fit, seed=seed), surface=surface)
 
 
 def with_memory(

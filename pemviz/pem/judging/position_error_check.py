@@ -8,13 +8,13 @@ time; lasting alone, an obstacle's own share; and both.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.position_errors import RANGE, PositionErrorTable
+from pemviz.pem.data.table import rows_by_place
 from pemviz.pem.fitting import position_errors as fitting
 from pemviz.pem.models.memory import persistence
 from pemviz.pem.models.position_errors import (
@@ -90,18 +90,14 @@ class ErrorLaw:
         fresh = random.standard_normal(self.error.size)
         sizes = np.diff(np.append(self._starts, self.error.size))
         forgetful = fresh.copy()
-        for rows in self._later:  # the first of all tracks, then the second of those that go on
+        for rows in self._later:
             kept = rho[rows]
             forgetful[rows] = kept * forgetful[rows - 1] + np.sqrt(1.0 - kept**2) * fresh[rows]
         return np.sqrt(share) * np.repeat(lasting, sizes) + np.sqrt(1.0 - share) * forgetful
 
     @cached_property
     def _later(self) -> list[IntArray]:
-        sizes = np.diff(np.append(self._starts, self.error.size))
-        place = np.arange(self.error.size) - np.repeat(self._starts, sizes)
-        order = np.argsort(place, kind="stable")
-        edges = np.searchsorted(place[order], np.arange(1, int(place.max()) + 2))
-        return [order[first:last] for first, last in pairwise(edges.tolist())]
+        return rows_by_place(self._starts, count=self.error.size)[1:]
 
     def _hanging_together(self, variant: Variant) -> tuple[FloatArray, FloatArray]:
         """Lasting share, and correlation of the rest with the row before, of each row ``[n]``."""

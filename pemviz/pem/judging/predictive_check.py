@@ -29,8 +29,8 @@ import numpy as np
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.pem.data.table import TrackTable
-from pemviz.pem.fitting.memory import memory_surface, nested_memories
-from pemviz.pem.judging.memory_report import CrossFitted, MemoryReport, sample_outcomes
+from pemviz.pem.fitting.memory import nested_memories
+from pemviz.pem.judging.memory_report import CrossFitted, sample_outcomes
 from pemviz.pem.judging.position_error_check import ErrorLaw
 from pemviz.pem.models.cards import PemCard, memory_of
 from pemviz.pem.models.memory import Memory
@@ -381,21 +381,6 @@ def check_model(
         seed=seed,
         on_progress=on_progress,
     )
-
-
-def check_fitted(
-    tracks: TrackTable,
-    held_out: CrossFitted,
-    report: MemoryReport,
-    *,
-    seed: int = 0,
-    on_progress: Progress | None = None,
-) -> Checked:
-    """Check a kind of model whose memory is fitted to the same parts of the sequences."""
-    surface = report.surface
-    if surface is None:
-        surface = memory_surface(tracks, held_out.logit)
-    return check_held_out(tracks, held_out, surface, seed=seed, on_progress=on_progress)
 
 
 def check_held_out(
