@@ -88,6 +88,7 @@ def system() -> GymnasiumSlotEpisodes:
         states=STEPS + 1,
         dt_s=0.2,
         seed=COURSE,
+        fixed_randomness=True,
         name="intersection-v0",
     )
 

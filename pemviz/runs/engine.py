@@ -32,11 +32,16 @@ from pemviz.sampling.kept import KeepsColumns
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
 from pemviz.simulators.latents import latent_counts
+from pemviz.simulators.own_randomness import fixed_randomness
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
 LATENTS = "beside perception, independent standard normals that the simulator maps are random"
+ONE_COURSE = (
+    "what the simulator draws at random of its own is the same in every rollout, as it states: the "
+    "answer is for this one course of it"
+)
 INDEPENDENT = "misses are independent of each other given the state"
 BOUNDED = "metric agm, which ranks rollouts and no more, counts what is beyond a bound as the bound"
 ASSUMPTIONS = (
@@ -323,6 +328,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
     first, *others = OWN_SYSTEM_ASSUMPTIONS if experiment.is_own_system else ASSUMPTIONS
     if latents := latent_counts(experiment.problem.simulator):
         others = [f"{LATENTS}: {latents}", *others]
+    if fixed_randomness(experiment.problem.simulator):
+        others = [ONE_COURSE, *others]
     if config.encounters_per_hour is not None:
         others = [*others, assumed_encounters(config.encounters_per_hour)]
     if position_errors is not None:

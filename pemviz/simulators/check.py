@@ -1,6 +1,6 @@
 """Whether a simulator of somebody else's keeps to the protocol, tried before a run starts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -21,6 +21,7 @@ from pemviz.simulators.check_declared import (
 )
 from pemviz.simulators.episodic import episodic, kept_memory
 from pemviz.simulators.latents import begun, latent_counts, stepped
+from pemviz.simulators.own_randomness import drawn_alike, fixed_randomness
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.simulators.tracking.tracker import tracker_of
 from pemviz.types import Simulator, StateBatch, tells_violation
@@ -34,6 +35,10 @@ ALL_MISSED, ALL_DETECTED, MIXED, MIXED_AGAIN = range(4)
 COUNT = 4
 ONE = slice(MIXED, MIXED + 1)
 DECLARE = "what is random about it is declared: latents = pemviz.LatentCounts(start=1)"
+RANDOM = (
+    "the answer would be for this one course of them; declare them as latents (of a gymnasium "
+    "adapter: seed=None), or state fixed_randomness = True if that is meant"
+)
 COMPLETE = "; all that decides how a rollout goes on must be in signals and memory"
 TRIED = 4
 """Rollouts by which it is found out whether latents make a difference."""
@@ -48,6 +53,7 @@ def check_simulator(simulator: AnySimulator) -> None:
     Where slots are declared, "missed" is an error in every slot, and now and then in one alone.
     Where latents are, each rollout has its own, but for the two with the same outcomes.
     Episodes, which cannot be gone on with, are tried twice with the same mixed outcomes.
+    Whether random numbers are the same in every rollout is tried with other seeds.
 
     Raises:
         ConfigError: One line: what is missing, of the wrong shape, not pure, or random.
@@ -71,6 +77,7 @@ def check_simulator(simulator: AnySimulator) -> None:
     trial = _Trial(simulator, complaint)
     if episodic(simulator) is not None:
         trial.check_episodes()
+        trial.check_own_randomness()
         return
     trial.check_start()
     start = trial.begun(trial.latents)
@@ -88,6 +95,7 @@ def check_simulator(simulator: AnySimulator) -> None:
     trial.check_equal(course)
     trial.check_order(course)
     trial.check_continued(course)
+    trial.check_own_randomness()
 
 
 class _Trial:
@@ -171,16 +179,30 @@ class _Trial:
             self.check_salient(simulator, first)
         check_scene(simulator, course[-1], self.complaint)
 
+    def check_own_randomness(self) -> None:
+        """An answer must not be for one course of random numbers, unless that is meant."""
+        if fixed_randomness(self.simulator):
+            return
+        alike = drawn_alike(self.simulator, lambda other: self.alone((MIXED, ALL_MISSED)[other]))
+        if alike:
+            self.complaint.refuse(f"{alike}: {RANDOM}")
+
+    def alone(self, row: int) -> Iterator[StateBatch]:
+        """The states ``[1]`` of a rollout with mixed outcomes and one row's latents."""
+        latents = self.latents.take(slice(row, row + 1))
+        states = self.begun(latents)
+        yield states
+        for step in range(self.steps):
+            states = self.stepped(states, self.outcomes[ONE, step], latents.noise[:, step])
+            yield states
+
     def episode(self) -> list[StateBatch]:
         """The states ``[1]`` of one episode with mixed outcomes."""
-        latents = self.latents.take(ONE)
-        course = [self.begun(latents)]
-        for step in range(self.steps):
-            self.check_states(course[-1], "reset or step", step=step, count=1)
-            noise = latents.noise[:, step]
-            course.append(self.stepped(course[-1], self.outcomes[ONE, step], noise))
-        self.check_states(course[-1], "step", step=self.steps, count=1)
-        return [replace(one, memory=dict(kept_memory(one.memory))) for one in course]
+        course = list[StateBatch]()
+        for step, states in enumerate(self.alone(MIXED)):
+            self.check_states(states, "reset or step", step=step, count=1)
+            course.append(replace(states, memory=dict(kept_memory(states.memory))))
+        return course
 
     def check_tracks(self, start: StateBatch) -> None:
         """A tracker that a simulator says it holds is its own, and lies in its states."""

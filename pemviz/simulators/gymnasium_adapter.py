@@ -14,6 +14,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
+from pemviz.latents import NO_LATENTS, SEED_LATENTS, LatentCounts, seed_of
+from pemviz.simulators.own_randomness import seed_of_reset
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch
 
@@ -77,7 +79,10 @@ class GymnasiumAdapter:
         dt_s: Time between two states [s].
         salient_of: Signals ``[...]`` to what the detector's answer depends on ``[..., D]``.
         action_of: Perception's outcome to the environment's action.
-        seed: The environment is reset with.
+        seed: The environment is reset with; ``None``: each rollout with one of its own, drawn
+            like what else is random about it and moved by no proposal.
+        fixed_randomness: Whether it is meant that the environment's own randomness, if it has any,
+            is that of ``seed`` in every rollout.
         name: For files and tables.
     """
 
@@ -88,12 +93,23 @@ class GymnasiumAdapter:
     dt_s: float
     salient_of: Callable[[Mapping[str, FloatArray]], FloatArray] = signal_values
     action_of: Callable[[Any], Any] = detection_action
-    seed: int = 0
+    seed: int | None = 0
+    fixed_randomness: bool = False
     name: str = "gymnasium"
+
+    @property
+    def latents(self) -> LatentCounts:
+        """One for the seed where each rollout has its own."""
+        return SEED_LATENTS if self.seed is None else NO_LATENTS
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """What the detector's answer depends on, ``[..., D]``."""
         return self.salient_of({signal.name: signals[signal.name] for signal in self.signals})
+
+    def _reset(self, normals: FloatArray | Sequence[float] = ()) -> Any:
+        """The first observation, with the seed that the latents ``[1]`` give if there are any."""
+        seed = seed_of(normals[0]) if self.seed is None else self.seed
+        return self.environment.reset(seed=seed_of_reset(seed))[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,9 +163,9 @@ class GymnasiumSlots(GymnasiumAdapter):
 class GymnasiumSimulator(GymnasiumAdapter):
     """Each rollout of a batch in turn is put into one environment, stepped, read back.
 
-    The environment must do the same again from the same state; its own randomness, if it has
-    any, is that of ``seed``, so that the answer is for this one course of it. Once an episode
-    has ended, its signals stay as they are until the last step.
+    The environment must do the same again from the same state: what it draws in its steps must
+    be kept with it, as copies do. Once an episode has ended, its signals stay as they are until
+    the last step.
 
     Attributes:
         get_state: All that decides how the environment goes on, as numbers ``[S]``. With
@@ -182,11 +198,14 @@ class GymnasiumSimulator(GymnasiumAdapter):
             )
             raise ConfigError(message)
 
-    def initial(self, *, count: int) -> StateBatch:
-        """``count`` copies of the state after a reset, arrays ``[count]``."""
-        observation, _ = self.environment.reset(seed=self.seed)
-        row = (self._observed(observation), self._snapshot(self.environment), False)
-        return self._batch([row] * count, step=np.zeros((), dtype=np.int64))
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The state after a reset, ``count`` times: with one seed, or by ``start [count, 1]``."""
+        resets: list[_Row] = []
+        for normals in [()] if start is None else start:
+            observed = self._observed(self._reset(normals))
+            resets.append((observed, self._snapshot(self.environment), False))
+        rows = resets * count if start is None else resets
+        return self._batch(rows, step=np.zeros((), dtype=np.int64))
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """The states one step on, for outcomes ``[N]``."""
@@ -285,12 +304,12 @@ class GymnasiumEpisodes(GymnasiumAdapter):
     """One environment as a :class:`pemviz.EpisodicSimulator`: a step of it for each step.
 
     It needs no ``get_state`` and is never copied, but must begin in the same state after each
-    reset with ``seed``, and do the same again for the same actions.
+    reset with the same seed, and do the same again for the same actions.
     """
 
-    def reset(self) -> Mapping[str, float]:
-        """The signals after a reset."""
-        return self.observe(self.environment.reset(seed=self.seed)[0])
+    def reset(self, *normals: FloatArray) -> Mapping[str, float]:
+        """The signals after a reset, with the seed that latents ``[1]`` give if there are any."""
+        return self.observe(self._reset(*normals))
 
     def step(self, outcome: Any) -> tuple[Mapping[str, float], bool]:
         """The signals after an outcome, and whether the episode is terminated or truncated."""

@@ -38,5 +38,6 @@ def saving_twin(example: dict[str, Any], cars: Any) -> pemviz.GymnasiumSlotSimul
     return pemviz.GymnasiumSlotSimulator(
         environment=example["PerceivingEgo"](made), signals=cars.signals, slots=cars.slots,
         observe=cars.observe, reacts_of=cars.reacts_of, states=cars.states, dt_s=cars.dt_s,
-        seed=cars.seed, name=cars.name, get_state=get_state, set_state=set_state,
+        seed=cars.seed, fixed_randomness=True, name=cars.name,
+        get_state=get_state, set_state=set_state,
     )  # fmt: skip

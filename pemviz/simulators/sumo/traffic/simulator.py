@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import EncounterConfig, ScenarioConfig
 from pemviz.config.settings import SumoConfig
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.shipped import asset_path
-from pemviz.latents import LatentCounts
+from pemviz.latents import SEED_LATENTS, LatentCounts, seed_of
 from pemviz.simulators.braking.scenario import (
     CAR_CLASS,
     HEADING_AWAY_RAD,
@@ -49,8 +48,6 @@ PROCESSES = 16
 """So many rollouts at a time."""
 SIDEWAYS_MPS = 2.0
 """Cars do not change lanes faster."""
-LARGEST_SEED = 2**31 - 1
-SEED_LATENTS = LatentCounts(seeds=1)
 PROCESS = "pemviz.simulators.sumo.traffic.process"
 EGO_SIGNALS = {
     "distance": ("m", 0.0, 10_000.0),
@@ -131,7 +128,7 @@ class TrafficEpisodes:
 
     def begin_reset(self, *given: Any) -> None:
         """Have the next :meth:`reset` begin before it is called."""
-        seed = min(int(ndtr(float(given[0][0])) * LARGEST_SEED), LARGEST_SEED - 1)
+        seed = seed_of(given[0][0])
         self._begin(messages.RESET + struct.pack("q", seed))
 
     def begin_step(self, *given: Any) -> None:
