@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
+from pemviz.binomial import exact_upper_bound
 from pemviz.config.tracker_text import NO_TRACKER
 from pemviz.runs.result import PemInfo, RunResult
 from pemviz.sampling.estimates.trust import rests_on_weights
@@ -141,8 +142,8 @@ def method_text(result: RunResult) -> str:
 def chosen_text(result: RunResult) -> str | None:
     """Why a method that goes on chose what it did, and how far it came; ``None`` of others.
 
-    For instance '0 of the first 240 plain rollouts violate; the interval is +- 9.8 %, 20 % were
-    asked for'.
+    For instance '0 of the first 240 plain rollouts violate, which alone puts it below 0.012; the
+    interval is +- 9.8 %, 20 % were asked for'.
     """
     config, estimate = result.config, result.estimate
     most = by_name(config.method).most
@@ -150,8 +151,10 @@ def chosen_text(result: RunResult) -> str | None:
         return None
     first, half = result.stages[0], estimate.relative_half_width
     reached = f"the interval is +- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
+    bound = exact_upper_bound(first.failures, first.rollouts)
+    alone = "" if first.failures else f", which alone puts it below {bound:.2g}"
     words = (
-        f"{first.failures} of the first {first.rollouts} plain rollouts violate; "
+        f"{first.failures} of the first {first.rollouts} plain rollouts violate{alone}; "
         f"{reached if math.isfinite(half) else 'no interval'}, {100.0 * config.precision:.3g} % "
         "were asked for"
     )
