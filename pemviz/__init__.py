@@ -12,16 +12,18 @@ from pemviz._version import __version__
 if TYPE_CHECKING:
     from pemviz.arrays import BoolArray, FloatArray
     from pemviz.config import ExperimentConfig, ScenarioConfig
-    from pemviz.errors import ConfigError, InputError, PemvizError, RunError
+    from pemviz.errors import ConfigError, InputError, PemvizError, RunError, UndecidedError
     from pemviz.latents import LatentCounts, Latents
     from pemviz.pem import DetectorModel
     from pemviz.proposals.offset_logistic import StateFeatures
+    from pemviz.reports.gate import raise_if_undecided
     from pemviz.reports.terminal import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
     from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
+    from pemviz.runs.result_file import result_document
     from pemviz.runs.run_folder import RunStore
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.component import Known
@@ -54,16 +56,18 @@ if TYPE_CHECKING:
 _HOMES = {
     "arrays": "BoolArray FloatArray",
     "config": "ExperimentConfig ScenarioConfig",
-    "errors": "ConfigError InputError PemvizError RunError",
+    "errors": "ConfigError InputError PemvizError RunError UndecidedError",
     "latents": "LatentCounts Latents",
     "pem": "DetectorModel",
     "proposals.offset_logistic": "StateFeatures",
+    "reports.gate": "raise_if_undecided",
     "reports.terminal": "summary_text",
     "runs.engine": "run run_experiment",
     "runs.experiment": "Experiment build_experiment",
     "runs.observers": "KeptStages LeastRobust Rollout",
     "runs.reading": "read_result",
     "runs.result": "RunResult",
+    "runs.result_file": "result_document",
     "runs.run_folder": "RunStore",
     "sampling.description": "MethodDescription",
     "sampling.state.component": "Known",
@@ -92,9 +96,10 @@ __all__ = [
     "LatentSimulator", "Latents", "LeastRobust", "MethodDescription", "NamesStarts", "PemvizError",
     "Proposal", "Ramp", "Road", "Rollout", "RolloutBatch", "RunError", "RunResult", "RunStore",
     "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator", "Slot",
-    "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState", "__version__",
-    "build_experiment", "named_detections_action", "quantised_start", "read_result", "run",
-    "run_experiment", "side_by_side", "summary_text", "tracked",
+    "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState", "UndecidedError",
+    "__version__", "build_experiment", "named_detections_action", "quantised_start",
+    "raise_if_undecided", "read_result", "result_document", "run", "run_experiment",
+    "side_by_side", "summary_text", "tracked",
 ]  # fmt: skip
 
 
@@ -108,5 +113,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Everything importable from here."""
-    return sorted({*globals(), *__all__})
+    """What is meant for users."""
+    return sorted(__all__)

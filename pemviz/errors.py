@@ -52,6 +52,10 @@ class RunError(PemvizError):
         self.traceback_text = traceback_text
 
 
+class UndecidedError(PemvizError):
+    """Nothing may be decided by an answer; a gate exits with code 4."""
+
+
 def one_line(text: str) -> str:
     """``text`` with blanks for line breaks, escapes for what cannot be printed, cut if long."""
     if len(text) > LONGEST_MESSAGE:

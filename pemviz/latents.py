@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from pemviz.arrays import Batch, FloatArray, read_only, row_sums
 
@@ -53,12 +52,6 @@ class LatentCounts:
 
 NO_LATENTS = LatentCounts()
 SEED_LATENTS = LatentCounts(seeds=1)
-LARGEST_SEED = 2**31 - 1
-
-
-def seed_of(normal: float) -> int:
-    """A generator's seed for a standard normal: all from 0 to below 2^31 - 1 are as likely."""
-    return min(int(ndtr(float(normal)) * LARGEST_SEED), LARGEST_SEED - 1)
 
 
 @dataclass(frozen=True)

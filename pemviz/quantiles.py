@@ -17,6 +17,12 @@ from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
 
 Numbers = FloatArray | float
+LARGEST_SEED = 2**31 - 1
+
+
+def seed_of(z: float) -> int:
+    """A generator's seed: all from 0 to below 2^31 - 1 are as likely."""
+    return min(int(ndtr(float(z)) * LARGEST_SEED), LARGEST_SEED - 1)
 
 
 def normal(z: FloatArray, *, mean: Numbers, sd: Numbers) -> FloatArray:

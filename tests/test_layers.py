@@ -34,7 +34,7 @@ ONLY_IN = {
     "highway_env": {"simulators"},
     "pygame": {"simulators"},
     "dask": {"sweep"},
-    "distributed": {"sweep"},
+    "distributed": {"cluster", "sweep"},
     "pyarrow": {"sweep", "export", "recording"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},

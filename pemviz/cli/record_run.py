@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
-from pemviz.cli.progress import progress_observer
 from pemviz.cli.record_arguments import RecordArguments
-from pemviz.cli.workers import check_workers, with_workers
 from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
@@ -19,10 +17,12 @@ from pemviz.reports.pipeline import ReportWriter
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment
+from pemviz.runs.progress import progress_observer
 from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.workers import check_workers
 
 
 def record(arguments: RecordArguments) -> int:
@@ -76,16 +76,15 @@ def _carry_out(
     with (
         stop_on_signals() as should_stop,
         progress_observer(quiet=arguments.json) as progress,
-        with_workers(
-            experiment, workers=arguments.workers, scheduler=arguments.scheduler
-        ) as worked,
     ):
         return carry_out(
-            worked,
+            experiment,
             folder,
             recorders=_recorders(arguments, experiment, folder),
             observers=[progress, *observers],
             should_stop=should_stop,
+            workers=arguments.workers,
+            scheduler=arguments.scheduler,
         )
 
 

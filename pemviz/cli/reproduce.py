@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from pemviz.cli.bars import jobs_progress
+from pemviz.bars import jobs_progress
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE, ConfigError, RunError

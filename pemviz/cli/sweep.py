@@ -12,11 +12,10 @@ import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, TextColumn
 
-from pemviz.cli.bars import bar
+from pemviz.bars import bar
 from pemviz.cli.help import HelpPage
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.cli.workers import check_one_kind
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.toml_files import load_config, load_preset
@@ -24,6 +23,7 @@ from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
 from pemviz.reports.escape import printable_line
+from pemviz.runs.workers import check_one_kind
 from pemviz.sampling.registry import ignored_note, ignored_settings
 from pemviz.sweep import tables
 from pemviz.sweep.carry_out import (

@@ -11,10 +11,22 @@ from functools import cache, lru_cache
 from importlib import metadata
 from itertools import pairwise
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from pemviz.errors import ConfigError
 from pemviz.faults import exception_text
+
+Kind = TypeVar("Kind", bound=type)
 
 
 @dataclass(frozen=True)
@@ -164,6 +176,24 @@ def field_docs(kind: type) -> dict[str, str]:
             case _:
                 pass
     return docs
+
+
+class _WithFields:
+    """A docstring with the text beneath each field, put together when it is asked for."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __get__(self, instance: object, owner: type) -> str:
+        told = [f"    {name}: {words}" for name, words in field_docs(owner).items()]
+        return "\n".join([self._text, "", "Fields:", *told])
+
+
+def explains_fields(kind: Kind) -> Kind:
+    """Let ``help`` tell of each field of a dataclass what stands beneath it."""
+    text: Any = _WithFields(inspect.cleandoc(kind.__doc__ or ""))
+    kind.__doc__ = text
+    return kind
 
 
 def described(part: object) -> str:

@@ -12,7 +12,7 @@ from pemviz.config.encounters import (
     StartChoice,
     start_values,
 )
-from pemviz.config.ranges import NamedPart, Range, check_fields, shown
+from pemviz.config.ranges import NamedPart, Range, check_fields, explains_fields, shown
 from pemviz.config.tracker_text import NO_TRACKER, read_tracker
 from pemviz.errors import ConfigError
 
@@ -61,6 +61,7 @@ class Rule:
     formula: str
 
 
+@explains_fields
 @dataclass(frozen=True, kw_only=True)
 class ScenarioConfig:
     """An ego car follows a braking lead car on a straight road.
@@ -113,6 +114,7 @@ class ScenarioConfig:
         return self.initial_speed_kmh / 3.6
 
 
+@explains_fields
 @dataclass(frozen=True, kw_only=True)
 class SumoConfig:
     """With simulator sumo; ``pemviz.simulators.sumo`` says exactly."""
@@ -139,6 +141,7 @@ class SumoConfig:
         return self.step_s
 
 
+@explains_fields
 @dataclass(frozen=True, kw_only=True)
 class ExperimentConfig:
     """One experiment: scenario, specification, perception error model, method, seed."""

@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from pemviz.config.rule_words import GateLimits
-from pemviz.errors import EXIT_DONE, EXIT_FAILED, EXIT_GATE_TRIPPED, EXIT_GATE_UNDECIDED
+from pemviz.errors import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_GATE_TRIPPED,
+    EXIT_GATE_UNDECIDED,
+    UndecidedError,
+)
 from pemviz.reports.estimate_words import bound_text
 from pemviz.runs.result import RunResult
 from pemviz.runs.uncertainty import reference_diagnostics, run_diagnostics
@@ -79,6 +85,21 @@ def decide_run(result: RunResult, *, limit: float) -> GateDecision:
     if result.estimate is None:
         return GateDecision("undecided", limit, "there is no estimate", EXIT_GATE_UNDECIDED)
     return decide_gate(result.estimate, limit=limit, diagnostics=run_diagnostics(result))
+
+
+def raise_if_undecided(result: RunResult) -> None:
+    """End a program with the reason where nothing may be decided by a run's answer.
+
+    Raises:
+        UndecidedError: The run did not finish, or one of its intervals is none, and why.
+    """
+    decided = decide_run(result, limit=1.0)
+    reasons = [decided.reason] if decided.outcome == "undecided" else []
+    for rule in result.rules:
+        of_rule = _of_rule(result, rule.name, 1.0)
+        reasons += [of_rule.reason] if of_rule.outcome == "undecided" else []
+    if reasons:
+        raise UndecidedError("; ".join(reasons))
 
 
 def decide_gate(

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from typing import Any
@@ -26,6 +26,7 @@ from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
 from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
 from pemviz.runs.specification import may_leave_bounds
+from pemviz.runs.workers import with_workers
 from pemviz.sampling.estimates.diagnostics import not_repeatable
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
@@ -87,15 +88,47 @@ def run(
     run_id: str = "run",
     observers: Sequence[events.Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: bool = False,
 ) -> RunResult:
-    """Run an experiment that is already built; see :func:`run_experiment`.
+    """Run an experiment that is already built.
+
+    Args:
+        experiment: What :func:`build_experiment` gives.
+        run_id: The run's name in its result.
+        observers: Notified of everything that happens; they do not change the result.
+        should_stop: Called between batches of rollouts.
+        workers: So many processes of this machine simulate the rollouts, to the same result; the
+            program must then begin its work under ``if __name__ == "__main__":``.
+        scheduler: The workers of the Dask cluster do whose scheduler has this address.
+        progress: Show on standard error how far the run is: a bar on a terminal, lines elsewhere.
 
     Raises:
+        ConfigError: Workers are of no use, or the cluster cannot be used; nothing was simulated.
         RunError: The run failed. What a simulator, an error model or a method of the user's raised
             is its cause, SystemExit and KeyboardInterrupt included.
         KeyboardInterrupt: A signal's; the run has stopped.
     """
-    runner = _Runner(experiment, run_id, observers, should_stop)
+    with (
+        _shown(progress) as shown,
+        with_workers(experiment, workers=workers, scheduler=scheduler) as worked,
+    ):
+        return _run(_Runner(worked, run_id, [*shown, *observers], should_stop))
+
+
+@contextlib.contextmanager
+def _shown(progress: bool) -> Generator[Sequence[events.Observer]]:
+    if not progress:
+        yield ()
+        return
+    from pemviz.runs.progress import progress_observer  # noqa: PLC0415  rich is slow to import
+
+    with progress_observer() as observer:
+        yield (observer,)
+
+
+def _run(runner: "_Runner") -> RunResult:
     with faults.signals_distinguished():
         try:
             # matrices are small: threads that wait for each other cost more than they bring, most

@@ -231,6 +231,8 @@ def carry_out(
     recorders: Sequence[Observer] = (),
     observers: Sequence[Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> RunResult:
     """Run an experiment and keep it in ``folder``.
 
@@ -245,6 +247,8 @@ def carry_out(
             for the end: a folder says that a run is done once they are whole.
         observers: Notified of everything that happens, after the folder has it.
         should_stop: Called between batches of rollouts.
+        workers: Who simulates; see :func:`pemviz.runs.engine.run`.
+        scheduler: Likewise.
 
     Raises:
         InputError: Another process is at work in the folder, or the folder was begun with
@@ -271,6 +275,8 @@ def carry_out(
             run_id=folder.name,
             observers=[_DoneLast(store, recorders), *observers],
             should_stop=should_stop,
+            workers=workers,
+            scheduler=scheduler,
         )
 
 

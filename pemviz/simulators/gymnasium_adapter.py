@@ -14,7 +14,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.latents import NO_LATENTS, SEED_LATENTS, LatentCounts, seed_of
+from pemviz.latents import NO_LATENTS, SEED_LATENTS, LatentCounts
+from pemviz.quantiles import seed_of
 from pemviz.simulators.own_randomness import seed_of_reset
 from pemviz.simulators.slots import Slot
 from pemviz.types import Signal, StateBatch

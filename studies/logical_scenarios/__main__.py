@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pemviz.cli.bars import jobs_progress
+from pemviz.bars import jobs_progress
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.main import carry_out
 from pemviz.cli.parsing import Processes, parse_arguments

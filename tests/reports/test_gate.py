@@ -9,9 +9,16 @@ from typing import get_args
 
 import pytest
 
+import pemviz
 from pemviz.config import METHODS
 from pemviz.config.rule_words import GateLimits
-from pemviz.reports.gate import EXIT_CODES, decide_gate, decide_limits, decide_run
+from pemviz.reports.gate import (
+    EXIT_CODES,
+    decide_gate,
+    decide_limits,
+    decide_run,
+    raise_if_undecided,
+)
 from pemviz.runs.result import RuleAnswer
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.diagnostics import (
@@ -201,3 +208,18 @@ def test_a_rule_of_a_run_that_the_reference_contradicts_never_passes():
         assert decide_limits(run, limits=limits).exit_code == code
     tripped = GateLimits(None, {"gap": 4e-15})
     assert decide_limits(run, limits=tripped).exit_code == 1
+
+
+def test_a_program_is_ended_with_the_reason_where_nothing_may_be_decided():
+    raise_if_undecided(result(estimate(method="mixture", ci_high=2e-6)))
+    spoiled = estimate(method="mixture", ci_high=2e-6, diagnostics=wrong("heavy-tail"))
+    rule = RuleAnswer("gap", "always (gap >= 2)", spoiled)
+    for one, words in (
+        (result(spoiled), "Pareto k-hat"),
+        (result(estimate(method="mixture", ci_high=None)), "no upper bound"),
+        (replace(result(), estimate=None), "no estimate"),
+        (result(estimate(method="mixture", ci_high=2e-6), status="failed"), "the run failed"),
+        (result(estimate(method="mixture", ci_high=2e-6), rules=(rule,)), "rule gap: "),
+    ):
+        with pytest.raises(pemviz.UndecidedError, match=words):
+            raise_if_undecided(one)

@@ -9,7 +9,6 @@ import pytest
 
 import pemviz
 from pemviz import LatentCounts, StateBatch
-from pemviz.cli.workers import with_workers
 from pemviz.errors import ConfigError, RunError
 from pemviz.sampling.rollouts.runners import PooledRunner
 from pemviz.simulators.episodic import SideBySide
@@ -144,11 +143,32 @@ def test_it_is_so_where_obstacles_differ(memory_s):
 def test_it_is_so_in_two_worker_processes():
     experiment = run_of(pemviz.side_by_side(WalkEpisodes, 3), stages=1)
     here, stepped = pemviz.run(experiment), WalkEpisodes.stepped
-    with with_workers(experiment, workers=2, scheduler=None) as spread:
-        there = pemviz.run(spread)
+    there = pemviz.run(experiment, workers=2)
     assert there.estimate == here.estimate
     assert there.least_robust == here.least_robust
     assert WalkEpisodes.stepped == stepped, "no step is done in this process"
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"workers": 0}, "workers = 0: must be at least 1"),
+        ({"workers": 2, "scheduler": "tcp://x:1"}, "give only one of them"),
+        ({"scheduler": "no-address:"}, "cannot be reached"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused_before_anything_is_simulated(settings, words):
+    experiment, stepped = run_of(WalkEpisodes()), WalkEpisodes.stepped
+    with pytest.raises(ConfigError, match=words):
+        pemviz.run(experiment, **settings)
+    assert WalkEpisodes.stepped == stepped
+
+
+def test_a_program_is_shown_how_far_a_run_is(capsys):
+    pemviz.run(run_of(WALK), progress=True)
+    assert "stage 1, threshold" in capsys.readouterr().err
+    pemviz.run(run_of(WALK))
+    assert capsys.readouterr().err == ""
 
 
 def test_it_is_so_with_latents():

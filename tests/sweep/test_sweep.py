@@ -181,7 +181,7 @@ def test_an_error_model_of_ones_own_travels_with_the_run(tiny, tmp_path, capsys,
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, words, fragments):
-    monkeypatch.setattr("pemviz.sweep.cluster.CONNECT_S", 1.0)  # nobody answers, however long
+    monkeypatch.setattr("pemviz.cluster.CONNECT_S", 1.0)  # nobody answers, however long
     assert main(["sweep", *words, "--out", str(tmp_path / "out")]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -211,7 +211,7 @@ def test_a_run_that_fails_is_told_tried_again_and_the_rest_goes_on(tiny, tmp_pat
 
 
 def test_without_dask_a_scheduler_says_what_to_install(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("pemviz.sweep.cluster.find_spec", lambda name: None)
+    monkeypatch.setattr("pemviz.cluster.find_spec", lambda name: None)
     words = ["--preset", "paper", "--scheduler", "tcp://x:1", "--out", str(tmp_path / "out")]
     assert main(["sweep", *words]) == 2
     assert "pip install 'pemviz[sweep]'" in capsys.readouterr().err

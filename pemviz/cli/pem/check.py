@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pemviz.cli.bars import progress_bar
+from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
 from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.memory import STATELESS, cross_fitted

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast, get_args
 
-from pemviz.cli.bars import progress_bar
+from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from pemviz.cli.bars import progress_bar
+from pemviz.bars import progress_bar
 from pemviz.cli.pem.checks import check_seed
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing

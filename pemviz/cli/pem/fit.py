@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pemviz.arrays import AnyArray
-from pemviz.cli.bars import progress_bar
+from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
 from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.memory import (

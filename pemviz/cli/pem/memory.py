@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pemviz.cli.bars import progress_bar
+from pemviz.bars import progress_bar
 from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
 from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.files.text_files import writing

@@ -25,7 +25,8 @@ from pemviz.config import EncounterConfig, ScenarioConfig
 from pemviz.config.settings import SumoConfig
 from pemviz.errors import ConfigError, RunError
 from pemviz.files.shipped import asset_path
-from pemviz.latents import SEED_LATENTS, LatentCounts, seed_of
+from pemviz.latents import SEED_LATENTS, LatentCounts
+from pemviz.quantiles import seed_of
 from pemviz.simulators.braking.scenario import (
     CAR_CLASS,
     HEADING_AWAY_RAD,

@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from pemviz.cli.progress import ProgressBar, ProgressLines, counted_in_words
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.controller import Watcher
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
+from pemviz.runs.progress import ProgressBar, ProgressLines, counted_in_words
 from tests.reports.runs import EXPLANATION, PLAN, estimate, result
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
@@ -66,7 +66,7 @@ def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch)
         stages=10, rollouts=4, final_rollouts=4, measured_memory=False,
     )  # fmt: skip
     for silent_s, told in ((30.0, [2, 5, 8, 11]), (-1.0, list(range(12)))):
-        monkeypatch.setattr("pemviz.cli.progress.SILENT_S", silent_s)
+        monkeypatch.setattr("pemviz.runs.progress.SILENT_S", silent_s)
         shown = io.StringIO()
         run_experiment(config, observers=[ProgressLines(Console(file=shown, width=200))])
         lines = shown.getvalue().splitlines()

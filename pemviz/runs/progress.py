@@ -11,7 +11,7 @@ from rich.progress import (
     TextColumn,
 )
 
-from pemviz.cli.bars import bar
+from pemviz.bars import bar
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
 from pemviz.runs.ranking import summarise_stage
 from pemviz.runs.result import StageSummary

@@ -1,15 +1,15 @@
-"""Who simulates: options that several commands have."""
+"""Who simulates a run's rollouts: this process, several of this machine, or a cluster."""
 
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 
+from pemviz.cluster import cluster_pool
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment
 from pemviz.sampling.rollouts.runners import PooledRunner
-from pemviz.sweep.cluster import cluster_pool
 
 
 def check_one_kind(*, workers: int | None, scheduler: str | None) -> None:
@@ -27,14 +27,18 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
     """Refuse workers where they could not help.
 
     Raises:
-        ConfigError: Both kinds are given, or the simulator or method has no use for any.
+        ConfigError: Both kinds are given, there are to be none, or the simulator or method has no
+            use for any.
     """
     check_one_kind(workers=workers, scheduler=scheduler)
     if workers is None and scheduler is None:
         return
+    if workers is not None and workers < 1:
+        message = f"workers = {workers}: must be at least 1"
+        raise ConfigError(message)
     given = f"workers = {workers}" if scheduler is None else f"scheduler = {scheduler}"
     config = experiment.config
-    if config.simulator == "vectorized":
+    if config.simulator == "vectorized" and not experiment.is_own_system:
         message = f"{given}: the vectorized simulator has no use for it; try simulator highway-env"
         raise ConfigError(message)
     if "restarts" in experiment.description.needs:
@@ -46,11 +50,12 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
 def with_workers(
     experiment: Experiment, *, workers: int | None, scheduler: str | None
 ) -> Generator[Experiment, None, None]:
-    """Yield the experiment with its rollouts simulated by these; see :func:`check_workers`.
+    """Yield the experiment with its rollouts simulated by these; what died is told on stderr.
 
     Raises:
-        ConfigError: The cluster cannot be used.
+        ConfigError: These could not help, see :func:`check_workers`, or the cluster cannot be used.
     """
+    check_workers(experiment, workers=workers, scheduler=scheduler)
     if scheduler is not None:
         with cluster_pool(scheduler) as (submit, count):
             yield _simulated_by(experiment, PooledRunner(submit, count))
