@@ -9,7 +9,7 @@ import tyro
 
 from pemviz.cli.help import HelpPage
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.config import ExperimentConfig, StartChoice
+from pemviz.config import WITHOUT_EFFECT, ExperimentConfig, StartChoice
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import GateLimits, read_limits, read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
@@ -152,7 +152,8 @@ def parse(words: Sequence[str]) -> RecordArguments:
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
     arguments = _with_shorthands(_with_rules(arguments, start.experiment))
-    if source.resume is not None and arguments.experiment != start.experiment:
+    begun = {name: getattr(start.experiment, name) for name in WITHOUT_EFFECT}
+    if source.resume and replace(arguments.experiment, **begun) != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
             "the options that differ from it"

@@ -46,6 +46,8 @@ DEFAULT_ADDRESS = "127.0.0.1:2000"
 """CARLA's own port, on this machine."""
 RULE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 MOST_RULES = 20
+WITHOUT_EFFECT = ("step_time_limit_s",)
+"""Settings that results do not depend on: a run goes on with others."""
 
 
 @dataclass(frozen=True)
@@ -236,9 +238,10 @@ class ExperimentConfig:
     """Root of all randomness; the same seed and config give the same result; 0 or more."""
     repetitions: Annotated[int, Range(low=1, high=100_000)] = 1
     """Independent repetitions, summarised by their mean; 1 to 100000."""
-    batch_time_limit_s: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 600.0
-    """A batch of rollouts (4096, in large runs 20,000; 50 with a slow simulator) that takes longer
-    fails the run [s]; above 0, at most 1e6."""
+    step_time_limit_s: Annotated[float, Range(low=0.0, low_open=True, high=1e6)] = 600.0
+    """A step of the rollouts that are simulated at a time which takes longer fails the run [s];
+    with workers, a rollout, once it was tried three times. Results do not depend on it, and a
+    stopped run goes on with another; above 0, at most 1e6."""
     reference: bool = False
     """Also compute the answer by the zero-variance reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from pemviz.config import ExperimentConfig
+from pemviz.config import WITHOUT_EFFECT, ExperimentConfig
 from pemviz.config.toml_files import every_setting, load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import file_digest
@@ -121,8 +121,9 @@ def run_differs(
         position_digest: The same of the position errors.
     """
     settings = setting_differences(result.config, config)
-    if settings:
-        name, (begun, wanted) = next(iter(settings.items()))
+    decisive = {name: both for name, both in settings.items() if name not in WITHOUT_EFFECT}
+    if decisive:
+        name, (begun, wanted) = next(iter(decisive.items()))
         return f"settings other than those of its config.toml ({name} = {begun!r}, not {wanted!r})"
     if pem_digest is not None and result.pem.digest != pem_digest:
         return (

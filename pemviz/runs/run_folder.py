@@ -134,7 +134,8 @@ class RunStore:
         match event:
             case events.RunStarted():
                 self._signals, self._keep = event.signals, event.config.keep
-                write_text(self.folder / CONFIG, config_text(event.config))
+                if not (self.folder / CONFIG).exists():  # of one that goes on, as it was begun
+                    write_text(self.folder / CONFIG, config_text(event.config))
                 if result_left(self.folder) is None:
                     write_result(self.folder, event.result, files=(CONFIG,))
             case events.StageDone():

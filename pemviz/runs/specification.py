@@ -48,7 +48,7 @@ def build_problem(
         violated=whole.violated,
         batch_rollouts=back_end.batch_rollouts,
         run_batches=CompiledRunner(),
-        batch_time_limit_s=config.batch_time_limit_s,
+        step_time_limit_s=config.step_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
         monitor=whole.monitor,
         turns=turns,

@@ -9,7 +9,7 @@ from pemviz.cluster import cluster_pool
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.pooled import PooledRunner
 
 
 def check_one_kind(*, workers: int | None, scheduler: str | None) -> None:
@@ -56,16 +56,17 @@ def with_workers(
         ConfigError: These could not help, see :func:`check_workers`, or the cluster cannot be used.
     """
     check_workers(experiment, workers=workers, scheduler=scheduler)
+    limit_s = experiment.problem.step_time_limit_s
     if scheduler is not None:
         with cluster_pool(scheduler) as (submit, count):
-            yield _simulated_by(experiment, PooledRunner(submit, count))
+            yield _simulated_by(experiment, PooledRunner(submit, count, limit_s=limit_s))
     elif workers is not None and workers > 1:
         with ProcessPool(workers) as pool:
-            runner = PooledRunner(pool.submit, workers, renew=pool.renew)
+            runner = PooledRunner(pool.submit, workers, renew=pool.renew, limit_s=limit_s)
             yield _simulated_by(experiment, runner)
-            if runner.deaths:
+            if runner.lost:
                 words = "what they were at was simulated again, and is as it would have been"
-                print(f"worker processes that died: {runner.deaths}; {words}", file=sys.stderr)
+                print(f"worker processes that were lost: {runner.lost}; {words}", file=sys.stderr)
     else:
         yield experiment
 

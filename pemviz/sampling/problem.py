@@ -1,7 +1,6 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import itertools
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,9 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, counted_from
+from pemviz.heartbeat import StalledError, watched
 from pemviz.pem.models.protocol import Pem
+from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.runners import (
     BatchRunner,
     BatchTask,
@@ -96,7 +97,7 @@ class Problem:
         violated: Signals ``[N, T]`` to the Boolean verdict ``[N]``; ``None``: the score is below 0
             exactly where it is violated.
         batch_rollouts: How many rollouts are simulated between two calls of ``progress``.
-        batch_time_limit_s: A batch that takes longer fails [s]; ``None``: no limit.
+        step_time_limit_s: A step of a batch that takes longer fails [s]; ``None``: no limit.
         run_batches: Who simulates the batches.
         progress: Gets after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
@@ -118,7 +119,7 @@ class Problem:
     robustness: Callable[[Signals], FloatArray]
     violated: Callable[[Signals], BoolArray] | None
     batch_rollouts: int = BATCH_ROLLOUTS
-    batch_time_limit_s: float | None = None
+    step_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = _no_progress
     pause: Callable[[], None] = _no_pause
@@ -221,38 +222,22 @@ def sample_batches(
 
 
 def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
-    """What ``simulate`` returns, or what it raises, within the problem's time limit for a batch.
+    """What ``simulate`` returns, or what it raises, while steps are done in time.
 
-    A call that takes longer is left behind in a thread of its own, which does not keep the
-    process alive: Python cannot end it.
+    Of rollouts that are simulated elsewhere, who has them simulated sees to it.
 
     Raises:
-        SimulationError: It takes longer.
+        SimulationError: There is a step that takes longer.
     """
-    limit_s = problem.batch_time_limit_s
-    if limit_s is None:
+    limit_s = problem.step_time_limit_s
+    if limit_s is None or isinstance(problem.run_batches, PooledRunner):
         return simulate()
-    results: list[Result] = []
-    errors: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            results.append(simulate())
-        except BaseException as error:  # handed on to the caller
-            errors.append(error)
-
-    thread = threading.Thread(target=work, name="pemviz-batch", daemon=True)
-    thread.start()
-    thread.join(limit_s)
-    if errors:
-        raise errors[0]
-    if not results:
-        message = (
-            f"simulator {problem.simulator.name}: a batch of rollouts took longer than "
-            f"batch_time_limit_s = {limit_s:g}"
-        )
-        raise SimulationError(message)
-    return results[0]
+    try:
+        return watched(simulate, limit_s=limit_s)
+    except StalledError as error:
+        limit = f"step_time_limit_s = {limit_s:g}"
+        what = f"simulator {problem.simulator.name}: a step took longer than {limit}"
+        raise SimulationError(what, why="a run goes on with another limit too") from error
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

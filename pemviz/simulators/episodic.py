@@ -14,6 +14,7 @@ from uuid import uuid4
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.config.ranges import described
 from pemviz.errors import ConfigError, RunError
 from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
@@ -198,8 +199,12 @@ class SideBySide:
             running.environments[row].begin_step(*given[row])
 
         def step(row: int) -> None:
-            values, ended = running.environments[row].step(*given[row])
-            running.values[row], running.ended[row] = self._checked(values), bool(ended)
+            answer = running.environments[row].step(*given[row])
+            if not (isinstance(answer, tuple) and len(answer) == 2):
+                what = f"simulator {self.name!r}: step gives {described(answer)}"
+                why = "must be two things, signals by name and whether the episode has ended"
+                raise SimulationError(what, why=why)
+            running.values[row], running.ended[row] = self._checked(answer[0]), bool(answer[1])
 
         self._each("step", begin, filter(self._is_elsewhere, going))
         self._each("step", step, going)
@@ -222,14 +227,21 @@ class SideBySide:
             what = f"simulator {self.name}: {what}"
             blame(error, what, step=self.running.step, rollouts=rollouts)
 
-    def _checked(self, values: Mapping[str, float]) -> Mapping[str, float]:
+    def _checked(self, values: Any) -> Mapping[str, float]:
         declared = {signal.name for signal in self.signals}
+        if not isinstance(values, Mapping):
+            what = f"simulator {self.name!r}: reset or step gives {described(values)}"
+            raise SimulationError(what, why="must be the signals' values by name")
         if set(values) != declared:
             what = (
                 f"simulator {self.name!r}: reset or step gives {sorted(values)}, signals declare "
                 f"{sorted(declared)}"
             )
             raise SimulationError(what, why="must be the same names")
+        for name, value in values.items():
+            if np.ndim(value):
+                what = f"simulator {self.name!r}: {name} is an array of shape {np.shape(value)}"
+                raise SimulationError(what, why="must be one number")
         return values
 
     def _batch(self) -> StateBatch:

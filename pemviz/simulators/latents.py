@@ -8,6 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame
+from pemviz.heartbeat import beat
 from pemviz.latents import NO_LATENTS, LatentCounts
 from pemviz.types import Signal, Simulator, SimulatorFacts, StateBatch
 
@@ -135,6 +136,7 @@ def begun(
     """
     latents = latent_counts(simulator).at_start
     scenario: Any = simulator
+    beat()
     try:
         if latents == 0:
             return _states(scenario, scenario.initial(count=count))
@@ -157,6 +159,7 @@ def stepped(
     Raises:
         SimulationError: The scenario raises something.
     """
+    beat()
     latents = latent_counts(simulator).noise
     scenario: Any = simulator
 

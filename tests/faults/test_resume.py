@@ -15,6 +15,7 @@ from pemviz.errors import EXIT_DONE, EXIT_GATE_TRIPPED, InputError, RunError
 from pemviz.reports.pipeline import ReportWriter
 from pemviz.runs.events import RunDone, StageDone
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out, run_lock
@@ -307,6 +308,15 @@ def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
     out = capsys.readouterr()
     assert "is done already" in out.err
     assert json.loads(out.out)["status"] == "done"
+
+
+def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
+    """Which is no part of what is answered: the folder stays that of its configuration."""
+    folder = stopped(small, tmp_path, after=2)
+    settings = (folder / "config.toml").read_bytes()
+    assert record.run(["--resume", str(folder), "--step-time-limit-s", "77", "--json"]) == 0
+    assert (folder / "config.toml").read_bytes() == settings
+    assert read_whole_run(folder).status == "done"
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_an_error_that_leaves_when_it_is_looked_at_fails_the_run(name):
 def test_whatever_a_simulator_raises_fails_the_run(fault, limit_s):
     listener = Listener()
     experiment = build_experiment(SMALL, simulator=faulty(fault, after=5))
-    problem = replace(experiment.problem, batch_time_limit_s=limit_s)
+    problem = replace(experiment.problem, step_time_limit_s=limit_s)
     with pytest.raises(RunError) as caught:
         run(replace(experiment, problem=problem), observers=[listener])
     told = listener.events[-1]
@@ -160,7 +160,7 @@ def test_a_signal_stops_the_run_as_ever(limit_s):
 
     listener, before = Listener(), signal.getsignal(signal.SIGINT)
     experiment = build_experiment(SMALL, simulator=Interrupting(SMALL.scenario))
-    problem = replace(experiment.problem, batch_time_limit_s=limit_s)
+    problem = replace(experiment.problem, step_time_limit_s=limit_s)
     with pytest.raises(KeyboardInterrupt):
         run(replace(experiment, problem=problem), observers=[listener])
     assert isinstance(listener.events[-1], RunDone)
@@ -178,7 +178,7 @@ def test_what_a_signal_was_turned_into_is_the_signals():
                 raise SystemExit(0) from None
 
     experiment = build_experiment(SMALL, simulator=Leaves(SMALL.scenario))
-    problem = replace(experiment.problem, batch_time_limit_s=None)
+    problem = replace(experiment.problem, step_time_limit_s=None)
     with pytest.raises(KeyboardInterrupt):
         run(replace(experiment, problem=problem))
 

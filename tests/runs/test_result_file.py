@@ -192,12 +192,12 @@ def test_results_of_versions_that_knew_fewer_fields_are_read(sample):
     document = copy.deepcopy(sample)
     for name in ("causes", "sensitivity", "data_bound"):
         del document[name]
-    for name in ("batch_time_limit_s", "reference", "target"):
+    for name in ("step_time_limit_s", "reference", "target"):
         del document["config"][name]
     result = result_from_document(document)
     assert result.explanation is None
     assert result.data_bound is None
-    assert result.config.batch_time_limit_s == 600.0
+    assert result.config.step_time_limit_s == 600.0
     assert result.estimate == result_from_document(sample).estimate
 
 

@@ -6,7 +6,8 @@ import signal
 import sys
 import threading
 import time
-from concurrent.futures import Future
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +24,8 @@ from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.runners import BatchTask, CompiledRunner, PooledRunner, run_here
+from pemviz.sampling.rollouts.pooled import PooledRunner
+from pemviz.sampling.rollouts.runners import BatchTask, CompiledRunner, run_here
 from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.braking import compiled, vectorized
 from pemviz.simulators.braking.compiled import CompiledRollouts, Loops, compiled_loops
@@ -74,7 +76,7 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
 
     def never(function, *arguments):
         handed_in.append(Future())
-        if len(handed_in) <= 2:
+        if len(handed_in) <= 4:  # two rollouts alone, and what else the first batch has
             handed_in[-1].set_result(function(*arguments))
         return handed_in[-1]
 
@@ -86,8 +88,7 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
     )
     with pytest.raises(KeyboardInterrupt):
         sampled(problem)
-    assert len(handed_in) == 4
-    assert [future.cancelled() for future in handed_in] == [False, False, True, True]
+    assert [future.cancelled() for future in handed_in] == [False] * 4 + [True] * 2
 
 
 def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):
@@ -107,6 +108,7 @@ class Aborts(MissCounter):
 
     outcomes: tuple[bool, ...] = ()
     once: str = ""
+    end: Callable[[], None] = os.abort
 
     def initial(self, *, count):
         begun = super().initial(count=count)
@@ -119,7 +121,7 @@ class Aborts(MissCounter):
         if int(reached.step) == self.states - 1 and alike.any() and not again:
             if self.once:
                 Path(self.once).touch()
-            os.abort()
+            self.end()
         return StateBatch(step=reached.step, signals=reached.signals, memory={"as": alike})
 
 
@@ -141,7 +143,7 @@ def test_what_was_lost_with_a_worker_is_simulated_again(with_one_alike, tmp_path
         found = sampled(replace(problem, simulator=simulator, run_batches=runner))
     assert_same_scores(found, serial)
     assert (tmp_path / "aborted").exists()
-    assert runner.deaths == 1
+    assert runner.lost == 1
     assert multiprocessing.active_children() == []
 
 
@@ -150,10 +152,52 @@ def test_a_rollout_that_ends_every_worker_is_named(with_one_alike):
     simulator = Aborts(states=14, outcomes=outcomes)
     with ProcessPool(2) as pool:
         runner = PooledRunner(pool.submit, 2, renew=pool.renew)
-        words = rf"worker processes died one after the other in rollout {number}: killed, or"
+        words = rf"worker processes were lost one after the other in rollout {number}: killed, or"
         with pytest.raises(SimulationError, match=words):
             sampled(replace(problem, simulator=simulator, run_batches=runner))
     assert multiprocessing.active_children() == []
+
+
+def test_a_worker_that_stalls_is_replaced_as_one_that_died(with_one_alike, tmp_path):
+    """Threads take part as workers: those that stall are left behind, as processes are killed."""
+    problem, serial, number, outcomes = with_one_alike
+    released, pools = threading.Event(), [ThreadPoolExecutor(2)]
+
+    def submit(function, *arguments):
+        return pools[-1].submit(function, *arguments)
+
+    def renew():
+        pools[-1].shutdown(wait=False, cancel_futures=True)
+        pools.append(ThreadPoolExecutor(2))
+
+    once = Aborts(states=14, outcomes=outcomes, once=str(tmp_path / "one"), end=released.wait)
+    runner = PooledRunner(submit, 2, renew=renew, limit_s=1.5)
+    try:
+        found = sampled(replace(problem, simulator=once, run_batches=runner))
+        assert_same_scores(found, serial)
+        assert runner.lost >= 1
+        words = rf"lost one after the other in rollout {number}: one rollout takes longer than st"
+        with pytest.raises(SimulationError, match=words):
+            sampled(replace(problem, simulator=replace(once, once=""), run_batches=runner))
+    finally:
+        released.set()
+
+
+def test_slow_rollouts_are_handed_in_one_by_one(toy_problem):
+    """So that the limit is one of a rollout, and no worker waits for another for long."""
+    sizes = []
+
+    def elsewhere(function, simulator, pem, task):
+        future = Future()
+        sizes.append(len(task.uniforms))
+        future.set_result((function(simulator, pem, task)[0], 3.0 * len(task.uniforms)))
+        return future
+
+    problem = replace(toy_problem, run_batches=PooledRunner(elsewhere, 4))
+    assert_same_scores(sampled(problem), sampled(toy_problem))
+    assert sizes[:4] == [1] * 4
+    assert max(sizes) == 2
+    assert sum(sizes) == 37
 
 
 def kill_first_child():

@@ -39,7 +39,7 @@ COMMON = {"seed"}
 """What every method looks at."""
 NOT_THE_METHODS = {
     "method", "metric", "spec", "pem", "simulator", "smooth_beta_per_m", "repetitions",
-    "batch_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
+    "step_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
     "plan", "rules", "frailty", "position_errors", "encounter", "start", "encounters_per_hour",
     "keep", "sumo", "carla", "assumed_memory_s", "measured_memory",
 }  # fmt: skip

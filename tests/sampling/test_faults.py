@@ -4,6 +4,7 @@ import dataclasses
 import pickle
 import signal
 import threading
+import time
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +16,8 @@ from scipy import stats
 from pemviz.faults import SimulationError, from_outside, signals_distinguished
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.problem import Problem, sample
-from pemviz.sampling.rollouts.runners import PooledRunner, by_numpy
+from pemviz.sampling.rollouts.pooled import PooledRunner
+from pemviz.sampling.rollouts.runners import by_numpy
 from pemviz.sampling.splitting.run import split as splitting
 from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.simulators.episodic import side_by_side
@@ -91,12 +93,24 @@ def test_a_simulator_that_hangs_fails_in_time(carry_out):
         released.wait(60.0)
         return gap
 
-    problem = problem_of(hang, batch_time_limit_s=0.2)
+    problem = problem_of(hang, step_time_limit_s=0.2)
     try:
-        with pytest.raises(SimulationError, match=r"longer than batch_time_limit_s = 0\.2"):
+        with pytest.raises(SimulationError, match=r"longer than step_time_limit_s = 0\.2"):
             carry_out(problem)
     finally:
         released.set()
+
+
+@pytest.mark.parametrize("carry_out", [draw, split, partial(split, runs=subset_runs)])
+def test_a_slow_simulator_is_no_fault_while_its_steps_are_done_in_time(carry_out):
+    def slowly(gap):
+        time.sleep(0.04)
+        return gap
+
+    problem = problem_of(slowly, step_time_limit_s=0.2)
+    began = time.monotonic()
+    carry_out(problem)
+    assert time.monotonic() - began > 0.2
 
 
 class Odd(BaseException):
@@ -128,7 +142,7 @@ def raising(**options):
 @pytest.mark.parametrize("error", RAISED, ids=repr)
 @pytest.mark.parametrize("limit_s", [None, 5.0])
 def test_whatever_a_simulator_raises_is_told_with_its_place(error, limit_s):
-    problem = replace(raising(error=error), batch_rollouts=30, batch_time_limit_s=limit_s)
+    problem = replace(raising(error=error), batch_rollouts=30, step_time_limit_s=limit_s)
     with signals_distinguished(), pytest.raises(SimulationError) as caught:
         draw(problem, count=50)
     words = (
@@ -196,11 +210,12 @@ class Places:
     [
         (ValueError("wheel fell off"), "step raises ValueError in {}, step 30: wheel fell off"),
         (SystemExit(0), "step raises SystemExit in {}, step 30: 0"),
-        (None, "step raises TypeError in {}, step 30: cannot unpack"),
+        (None, "step gives nothing in {}, step 30: must be two things, signals by name and"),
+        (({"gap": [1.0]}, False), r"gap is an array of shape \(1,\) in {}, step 30: must be one"),
         (({"speed": 1.0}, False), r"gives \['speed'\], signals declare \['gap'\] in {}, step 30"),
         (({"gap": np.nan}, False), "gap is nan in {}, step 31: must be a finite number"),
     ],
-    ids=["error", "exit", "nothing", "other names", "no number"],
+    ids=["error", "exit", "nothing", "an array", "other names", "no number"],
 )
 @pytest.mark.parametrize("beside", [1, 3])
 def test_an_environment_that_fails_names_the_very_rollout(outcome, words, beside):

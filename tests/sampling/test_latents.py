@@ -22,7 +22,7 @@ from pemviz.proposals.latent_moves import (
 )
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from tests.faults.test_resume import stopped_and_whole
 from tests.latent_toys import (

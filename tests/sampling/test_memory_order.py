@@ -19,7 +19,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rollout_files import finished_stage, part_arrays, write_part
 from pemviz.sampling.method import final_stage
 from pemviz.sampling.problem import sample, score
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.splitting.particles import beginning, continued, restart
 

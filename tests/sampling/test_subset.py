@@ -11,7 +11,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.faults import StopRequested
 from pemviz.latents import LatentCounts
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.subset.moves import Shape, Tuning, moved, spreads
 from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.types import StateBatch

@@ -1,6 +1,7 @@
 """Environments that can only be reset and stepped, against the same system with saved states."""
 
 import copy
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
 import gymnasium
@@ -10,7 +11,7 @@ import pytest
 import pemviz
 from pemviz import LatentCounts, StateBatch
 from pemviz.errors import ConfigError, RunError
-from pemviz.sampling.rollouts.runners import PooledRunner
+from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.simulators.episodic import SideBySide
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion
 from tests.slot_toys import CAMERA, TwoCars
@@ -298,22 +299,14 @@ def test_what_makes_no_environments_is_refused(environments, count, words):
 def test_another_process_has_environments_of_its_own_and_keeps_them():
     """A worker unpickles the simulator with every piece; here it does so in this process."""
 
-    class Now:
-        def __init__(self, value):
-            self.value = value
-
-        def result(self):
-            return self.value
-
-        def cancel(self):
-            """It is done."""
-
     seen: list[SideBySide] = []
 
     def submit(function, simulator, *others):
         there = copy.deepcopy(simulator)  # by the same two methods as pickling
         seen.append(there.scenario if hasattr(there, "scenario") else there)
-        return Now(function(there, *others))
+        future = Future()
+        future.set_result(function(there, *others))
+        return future
 
     experiment = run_of(pemviz.side_by_side(WalkEpisodes, 2), method="naive")
     problem = replace(experiment.problem, run_batches=PooledRunner(submit, 3))

@@ -194,12 +194,12 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, wo
 @pytest.mark.usefixtures("in_this_process")
 def test_a_run_that_fails_is_told_tried_again_and_the_rest_goes_on(tiny, tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["--vary", "batch_time_limit_s=1e-9,600", "--vary", "method=naive", "--workers", "1"]
+    words = ["--vary", "step_time_limit_s=1e-9,600", "--vary", "method=naive", "--workers", "1"]
     assert sweep(tiny, out, *words) == 3
     shown = capsys.readouterr()
     failed = [line for line in shown.err.splitlines() if line.startswith("failed: ")]
     assert len(failed) == 2
-    assert all("a batch of rollouts took longer" in line for line in failed)
+    assert all("a step took longer" in line for line in failed)
     assert [line.endswith("it is tried once more") for line in failed] == [True, False]
     assert "1 of 2 runs are done" in shown.err
     failed, done = rows_of(out)

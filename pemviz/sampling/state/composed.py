@@ -13,11 +13,13 @@ from typing import TypeVar
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.errors import ConfigError
+from pemviz.errors import ConfigError, InputError
+from pemviz.faults import SimulationError
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
+from pemviz.sampling.slots import turns_of
 from pemviz.sampling.state.component import CARRIED, Component, Known
 from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
 from pemviz.sampling.state.last_outcome import LastOutcome
@@ -64,8 +66,12 @@ class ComposedSimulator(WrappedSimulator):
     ) -> StateBatch:
         """The scenario's next states after outcomes ``[N]``."""
         reached = stepped(self.scenario, self.scenario_states(states), detected, noise)
-        for one in self.components:
-            reached = _with(reached, one.next(states, detected, reached, self.own_logit))
+        try:
+            for one in self.components:
+                reached = _with(reached, one.next(states, detected, reached, self.own_logit))
+        except InputError:  # of a number that is none a formula knows neither rollout nor step
+            _check_finite(reached, simulator=self.scenario)
+            raise
         return reached
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -436,6 +442,18 @@ def kept_with_rollouts(memory: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """What of a state's memory rollouts hold: all but what is for going on alone."""
     kept = kept_memory(memory)
     return {name: values for name, values in kept.items() if not name.startswith(CARRIED)}
+
+
+def _check_finite(states: StateBatch, *, simulator: Simulator) -> None:
+    for name, values in states.signals.items():
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            raise SimulationError(
+                f"simulator {simulator.name}: {name} is {values[row]}",
+                why="must be a finite number",
+                step=int(states.step) // turns_of(simulator),
+                rollouts=range(row, row + 1),
+            )
 
 
 def _signals(components: Sequence[Component]) -> list[Signal]:

@@ -1,0 +1,193 @@
+"""Batches of rollouts simulated by workers: cut into pieces, and whatever is lost done again."""
+
+import itertools
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, wait
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+from pemviz.faults import SimulationError, counted_from
+from pemviz.pem.models.protocol import Pem
+from pemviz.processes import DIED
+from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
+from pemviz.types import RolloutBatch, Simulator
+
+BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
+MOST_LOST = 3
+"""Workers that were at a rollout."""
+PIECE_S = 5.0
+"""What a piece takes, where a rollout takes less: so that no worker waits for another for long."""
+
+Timed = tuple[RolloutBatch, float]
+"""Rollouts, and how long a worker took to simulate them [s]."""
+
+
+class LostError(Exception):
+    """A worker was lost with what it was at."""
+
+
+@dataclass
+class PooledRunner:
+    """Cuts every batch into pieces for worker processes; a ``BatchRunner``.
+
+    A rollout does not depend on the others of its batch: the pieces, put together in their
+    order, are to the last bit what one process would have simulated, however they were cut. So what
+    was lost with a worker that died, or that stalls, is simulated again.
+
+    Attributes:
+        submit: Takes a function and its arguments, all of which can be pickled, to a worker,
+            as :meth:`concurrent.futures.Executor.submit` does.
+        workers: How many there are.
+        renew: Ends all workers and starts others, where one is lost; ``None``: what submits sees
+            to it itself.
+        limit_s: A worker that a piece has waited for so long is lost [s]; ``None``: never.
+        lost: How many workers were lost so far.
+    """
+
+    submit: Callable[..., Future[Any]]
+    workers: int
+    renew: Callable[[], None] | None = None
+    limit_s: float | None = None
+    lost: int = field(default=0, init=False)
+    _rollout_s: float | None = field(default=None, init=False)
+
+    def __call__(
+        self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
+    ) -> Iterator[RolloutBatch]:
+        """The batches of ``tasks``, in their order, as they are done.
+
+        Raises:
+            SimulationError: Something raised in a worker, or a rollout ends or stalls whichever is
+                at it.
+        """
+        ahead: deque[Sequence[_Piece]] = deque()
+        try:
+            for task in tasks:
+                ahead.append(self._pieces(simulator, pem, task))
+                if len(ahead) > BATCHES_AHEAD:
+                    yield _joined(ahead)
+                    ahead.popleft()
+            while ahead:
+                yield _joined(ahead)
+                ahead.popleft()
+        finally:
+            for piece in itertools.chain.from_iterable(ahead):
+                piece.future.cancel()
+
+    def _pieces(self, simulator: Simulator, pem: Pem, task: BatchTask) -> "Sequence[_Piece]":
+        """A batch that is handed in; of the first of all, one rollout a worker before the rest.
+
+        These tell how long a rollout takes, and so how many make a piece.
+        """
+        pieces: list[_Piece] = []
+        if self._rollout_s is None and len(task.uniforms) > self.workers:
+            alone, task = task.take(slice(self.workers)), task.take(slice(self.workers, None))
+            pieces = [_Piece(self, simulator, pem, one) for one in alone.split(self.workers)]
+            wait([piece.future for piece in pieces], timeout=self.limit_s)
+            self._rollout_s = _median_s(pieces)
+        rollouts_s = (self._rollout_s or 0.0) * len(task.uniforms)
+        parts = task.split(max(self.workers, round(rollouts_s / PIECE_S)))
+        return [*pieces, *(_Piece(self, simulator, pem, one) for one in parts)]
+
+    def answer(self, future: Future[Timed]) -> RolloutBatch:
+        """What a worker returns, once it does.
+
+        Raises:
+            LostError: It died, or takes too long; others are there.
+            SimulationError: Likewise, and no others can be started.
+        """
+        wait([future], timeout=self.limit_s)
+        if not future.done():
+            why = f"one rollout takes longer than step_time_limit_s = {self.limit_s:g}"
+            self._replace(LostError(why), what="worker process stalls")
+        try:
+            return future.result()[0]
+        except BrokenExecutor as error:
+            what, why = DIED.split(": ", 1)
+            self._replace(LostError(why), what=what, cause=error)
+
+    def _replace(
+        self, lost: LostError, *, what: str, cause: BaseException | None = None
+    ) -> NoReturn:
+        self.lost += 1
+        if self.renew is None:
+            raise SimulationError(f"a {what}", why=str(lost)) from cause
+        self.renew()
+        raise lost from cause
+
+
+class _Piece:
+    """A part of a batch that is under way."""
+
+    def __init__(
+        self, runner: PooledRunner, simulator: Simulator, pem: Pem, task: BatchTask
+    ) -> None:
+        self.task = task
+        self.runner, self._simulator, self._pem = runner, simulator, pem
+        self.hand_in()
+
+    def hand_in(self) -> None:
+        self.future: Future[Timed] = self._submit(self.task)
+
+    def _submit(self, task: BatchTask) -> Future[Timed]:
+        try:
+            return self.runner.submit(_timed, self._simulator, self._pem, task)
+        except BrokenExecutor as error:  # a worker died before
+            lost: Future[Timed] = Future()
+            lost.set_exception(error)
+            return lost
+
+    def hand_in_if_lost(self) -> None:
+        """Again, where it was under way, or handed in, when a worker was lost."""
+        done = self.future.done() and not self.future.cancelled()
+        if not done or isinstance(self.future.exception(), BrokenExecutor):
+            self.hand_in()
+
+    def alone(self, task: BatchTask, *, lost: int) -> RolloutBatch:
+        """A task that was lost so often, with nothing beside it, the smaller the oftener it is.
+
+        So it is found out whether it was at fault, and which of its rollouts.
+        """
+        try:
+            return self.runner.answer(self._submit(task))
+        except LostError as error:
+            lost += 1
+            if len(task.uniforms) == 1 and lost >= MOST_LOST:
+                what = f"{lost} worker processes were lost one after the other"
+                raise SimulationError(what, why=str(error), rollouts=range(1)) from error
+        parts: list[RolloutBatch] = []
+        for half in task.split(2):
+            with counted_from(sum(part.count for part in parts)):
+                parts.append(self.alone(half, lost=lost))
+        return RolloutBatch.concatenate(parts)
+
+
+def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
+    """The first of the batches that are under way."""
+    parts: list[RolloutBatch] = []
+    for piece in ahead[0]:
+        with counted_from(sum(part.count for part in parts)):
+            try:
+                parts.append(piece.runner.answer(piece.future))
+            except LostError:
+                parts.append(piece.alone(piece.task, lost=1))
+                for other in itertools.chain.from_iterable(ahead):
+                    if other is not piece:
+                        other.hand_in_if_lost()
+    return RolloutBatch.concatenate(parts)
+
+
+def _median_s(pieces: Sequence[_Piece]) -> float | None:
+    """What the single rollouts took that came back."""
+    back = [piece.future for piece in pieces if piece.future.done()]
+    took_s = [future.result()[1] for future in back if future.exception() is None]
+    return statistics.median(took_s) if took_s else None
+
+
+def _timed(simulator: Simulator, pem: Pem, task: BatchTask) -> Timed:
+    """A batch's rollouts, in a worker."""
+    began = time.perf_counter()
+    return by_numpy(simulator, pem, task), time.perf_counter() - began
