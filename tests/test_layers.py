@@ -35,7 +35,7 @@ ONLY_IN = {
     "pygame": {"simulators"},
     "dask": {"sweep"},
     "distributed": {"cluster", "sweep"},
-    "pyarrow": {"sweep", "export", "recording"},
+    "pyarrow": {"sweep", "export", "recording", "pem"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},
     "libsumo": {"simulators"},

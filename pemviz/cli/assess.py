@@ -20,10 +20,11 @@ from pemviz.cli.main import run_command
 from pemviz.cli.parsing import parse_arguments
 from pemviz.cli.record_arguments import parse as parse_record
 from pemviz.errors import EXIT_FAILED, ConfigError, PemError
+from pemviz.pem.data.columns import read_columns
 from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.recognise import CollectedFormat, Recognised, recognise
-from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS, read_csv
+from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 from pemviz.pem.fitting.fit import ModelKind
 
 PAGE = HelpPage(
@@ -245,9 +246,9 @@ class _Assessment:
         Raises:
             PemError: No obstacle is of the classes, or all or none were detected.
         """
-        table = read_csv(path)
+        table = read_columns(path)
         kinds = " ".join(self._types())
-        if not table.lines:
+        if not len(table):
             raise PemError(f"labels = {self.files.labels}: no obstacle of {kinds or 'any class'}")
         detected = table.numbers(OUTCOME_COLUMN)
         if detected.min() == detected.max():

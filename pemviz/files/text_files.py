@@ -13,13 +13,13 @@ from pemviz.errors import PemError
 
 @contextmanager
 def open_text(path: Path) -> Generator[TextIO, None, None]:
-    """A file's text, what is not UTF-8 replaced; line ends are left to who reads.
+    """A file's text without a byte order mark, what is not UTF-8 replaced; line ends are kept.
 
     Raises:
         PemError: it is not there, or cannot be read.
     """
     try:
-        with path.open(encoding="utf-8", errors="replace") as stream:
+        with path.open(encoding="utf-8-sig", errors="replace") as stream:
             yield stream
     except OSError as error:
         raise PemError(f"{path}: cannot be read ({error.strerror or error})") from None

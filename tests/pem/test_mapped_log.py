@@ -1,13 +1,18 @@
 """A log by a mapping of its columns: units, constants, two files, and what is wrong with them."""
 
+import json
 import math
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import feather, parquet
 
 from pemviz.cli.main import main
 from pemviz.files.shipped import asset_path
-from pemviz.pem.data.mapped_log import collect_log, read_mapping
+from pemviz.pem.data.log_batches import log_batches
+from pemviz.pem.data.log_mapping import read_mapping
+from pemviz.pem.data.mapped_log import collect_log
 from pemviz.pem.data.table import load_table, load_tracks
 from pemviz.pem.models.protocol import COLUMN
 from tests.pem.helpers import assert_refused
@@ -79,7 +84,7 @@ def test_units_constants_and_files_side_by_side(log) -> None:
         ("mapping", "truncation", "truncated", r"columns: lacks truncation$"),
         ("mapping", "x_m =", "xx = 1\nx_m =", r"columns\.xx: must be one of class_id, "),
         ("mapping", "times = -0.01", 'times = "x"', r"columns\.x_m\.times"),
-        ("mapping", "rate_hz = 20", "", "all or none, here sequence, frame, track$"),
+        ("mapping", "rate_hz = 20", "", "all or none .* here sequence, track, frame$"),
         ("mapping", '";"', '"|"', r"labels\.separator"),
         ("mapping", "[columns]", "[colums]", r"colums: must be labels, detections or columns$"),
         ("mapping", "[columns]", "[columns", "mapping.txt: .*line"),
@@ -113,3 +118,80 @@ def test_a_mapping_goes_with_format_log_alone(log, capsys) -> None:
 def test_the_shipped_mapping_is_one() -> None:
     plan = read_mapping(asset_path("mappings", "nuscenes-cars.toml"))
     assert plan.labels.header[-1] == "visibility"
+
+
+def test_stated_units_are_converted(log) -> None:
+    text = MAPPING.replace(
+        'z_m = { column = "ahead", plus = -0.5 }', 'z_m = { column = "ahead", unit = "ft" }'
+    ).replace('x_m = { column = "left cm", times = -0.01 }',
+              'x_m = { column = "left cm", unit = "cm", times = -1 }')  # fmt: skip
+    log["mapping"].write_text(text)
+    collect_log(**log)
+    salient = load_table(log["out"]).salient
+    np.testing.assert_allclose(salient[:, COLUMN["x_m"]], [3.0, -2.0, 0.0])
+    np.testing.assert_allclose(salient[:, COLUMN["z_m"]], np.array([4.5, 10.5, 20.5]) * 0.3048)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("mapping", MAPPING.replace('"ahead", plus', '"ahead", unit = "kg", plus'), "z_m.unit"),
+        ("mapping", MAPPING.replace('= "frame"', '= { column = "frame", unit = "s" }'), "left out"),
+        ("labels", "", r"labels\.txt: no rows"),
+        ("labels", LABELS.splitlines()[0], r"labels\.txt: no rows"),
+        ("labels", LABELS.replace(";", ","), "labels.txt:1: columns are separated by commas, not"),
+        ("labels", LABELS.replace("d1;1;7", "d1;0;7"), r"labels\.txt:4: track 7 of sequence d1 is"),
+        ("labels", LABELS.replace("d1;1;7", "d1;1.5;7"), "labels.txt:4: frame is 1.5, allowed"),
+    ],
+)
+def test_what_would_be_wrong_without_a_word_is_refused(log, capsys, name, content, words) -> None:
+    log[name].write_text(content)
+    assert_refused(capsys, "log", log, words)
+
+
+def test_a_log_may_begin_with_a_byte_order_mark(log) -> None:
+    log["labels"].write_bytes(LABELS.encode("utf-8-sig"))
+    assert collect_log(**log).obstacles == 3
+
+
+def in_other_form(log, form):
+    """The log's two files as one of another form."""
+    labels = [line.split(";") for line in LABELS.split("\n") if line]
+    found = [line.split() for line in DETECTIONS.splitlines()[1:]]
+    names, rows = [*labels[0], "seen", "err"], []
+    for own, other in zip(labels[1:], found, strict=True):
+        cells = dict(zip(names, [*own, *other], strict=True))
+        for number in ("frame", "id", "left cm", "ahead", "turned"):
+            cells[number] = float(cells[number])
+        cells["err"] = None if cells["err"] == "-" else float(cells["err"])
+        rows.append(cells)
+    path = log["labels"].with_suffix(f".{form}")
+    if form == "jsonl":
+        path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    else:
+        write = parquet.write_table if form == "parquet" else feather.write_feather
+        write(pa.Table.from_pylist(rows), path)
+    return {**log, "labels": path, "detections": path}
+
+
+@pytest.mark.parametrize("form", ["jsonl", "parquet", "arrow"])
+def test_other_forms_of_the_same_log_give_the_same_table(log, form) -> None:
+    collect_log(**log)
+    text = log["out"].read_text()
+    collect_log(**in_other_form(log, form))
+    assert log["out"].read_text() == text
+    whole = {**log, "out": log["out"].with_suffix(".parquet")}
+    collect_log(**whole)
+    assert load_table(whole["out"]).digest == load_table(log["out"]).digest
+
+
+def test_batches_do_not_show(log, monkeypatch) -> None:
+    collect_log(**log)
+    text = log["out"].read_text()
+    monkeypatch.setattr("pemviz.pem.data.mapped_log.log_batches", _small_batches)
+    collect_log(**log)
+    assert log["out"].read_text() == text
+
+
+def _small_batches(labels, detections, *, wanted):
+    return log_batches(labels, detections, wanted=wanted, rows=2)

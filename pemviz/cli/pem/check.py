@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
 from pemviz.cli.pem.memory import STATELESS, cross_fitted
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
+from pemviz.pem.data.columns import table_header
 from pemviz.pem.data.position_errors import AXIS_COLUMNS, PLANE_COLUMNS, load_error_csv
-from pemviz.pem.data.table import TrackTable, csv_header, load_table, load_tracks
+from pemviz.pem.data.table import TrackTable, load_table, load_tracks
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.model_files import load_pem, load_position_errors
 from pemviz.pem.models.cards import PemCard
@@ -119,6 +120,7 @@ def _of_kind(arguments: CheckArguments) -> "Checked":
 
     model = arguments.model or DEFAULT_KIND
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, needs_state=model != STATELESS)
+    tell_doubts(tracks.doubts)
     check_fittable(tracks)
     held_out = cross_fitted(tracks, model=model, folds=arguments.folds, seed=arguments.seed)
     with progress_bar("memory of misses") as tell:
@@ -147,6 +149,7 @@ def _of_pem(arguments: CheckArguments) -> "Checked":
     if arguments.position_errors is not None:
         model = load_position_errors(arguments.position_errors)
         errors = law_of_model(load_error_csv(arguments.table, rate_hz=arguments.rate_hz), model)
+    tell_doubts(tracks.doubts)
     card: object = getattr(pem, "card", None)
     same = isinstance(card, PemCard) and _is_of(card, tracks, arguments.table)
     with progress_bar("data sets") as tell:
@@ -162,7 +165,7 @@ def _is_of(card: PemCard, tracks: TrackTable, path: Path) -> bool:
 
 
 def _has_errors(table: Path) -> bool:
-    header = set(csv_header(table))
+    header = set(table_header(table))
     along = {name for axis, name in AXIS_COLUMNS.items() if axis != "speed"}
     return bool(header) and (along <= header or set(PLANE_COLUMNS) <= header)
 

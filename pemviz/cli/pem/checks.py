@@ -1,5 +1,7 @@
 """What several of the ``pem`` commands ask of their options before they begin."""
 
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from pemviz.errors import PemError
@@ -38,3 +40,20 @@ def check_rate_hz(rate_hz: float | None) -> None:
     """
     if rate_hz is not None and not 0.0 < rate_hz < float("inf"):
         raise PemError(f"rate_hz is {rate_hz:g}, allowed: above 0")
+
+
+def check_table_out(out: Path, *, with_parquet: bool) -> None:
+    """Whether a table can be written under this name: any but that of another form.
+
+    Raises:
+        PemError: It ends in .parquet where CSV is written, or as a file of Arrow's.
+    """
+    if out.suffix in (".arrow", ".feather") or (out.suffix == ".parquet" and not with_parquet):
+        allowed = ".csv, or .parquet with format log"
+        raise PemError(f"out = {out}: a table is written as {allowed}")
+
+
+def tell_doubts(doubts: Iterable[str]) -> None:
+    """Say on standard error what looks wrong, but may be meant."""
+    for line in doubts:
+        print(f"warning: {line}", file=sys.stderr)

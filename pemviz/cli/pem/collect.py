@@ -10,6 +10,7 @@ from typing import cast, get_args
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
+from pemviz.cli.pem.checks import check_table_out, tell_doubts
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
@@ -66,7 +67,7 @@ class CollectArguments:
     """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot,
     motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
-    """CSV file to write."""
+    """Table to write: CSV, with format log also .parquet."""
     format: CollectedFormat = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
@@ -75,9 +76,10 @@ class CollectArguments:
     nuscenes: its detection task's results, matched by the distance of centres, with position
     errors. motchallenge: its ground truth and detections, without places in the world: a table for
     pemviz pem memory --model guess-mu alone. log: a log of your own, matched already, whose
-    columns --mapping tells."""
+    columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow (.arrow, .feather)."""
     mapping: Path | None = None
-    """TOML that says where a log's columns are; assets/mappings/nuscenes-cars.toml is one.
+    """TOML that says where a log's columns are, and in which units;
+    assets/mappings/nuscenes-cars.toml is one.
     --labels and --detections are then the log, one file or two side by side."""
     rate_hz: float = DEFAULT_HZ
     """Frames a second of sequences (above 0); nuScenes' tables and MOTChallenge's seqinfo.ini tell
@@ -123,14 +125,17 @@ def run(arguments: CollectArguments) -> int:
         skip_bad=arguments.skip_bad,
     )
     _check_matching(arguments)
+    check_table_out(arguments.out, with_parquet=arguments.format == "log")
     if arguments.mapping is not None:
-        log = collect_log(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            mapping=arguments.mapping,
-            out=arguments.out,
-            skip_bad=arguments.skip_bad,
-        )
+        with progress_bar("thousandths of the log") as on_progress:
+            log = collect_log(
+                labels=arguments.labels,
+                detections=arguments.detections,
+                mapping=arguments.mapping,
+                out=arguments.out,
+                skip_bad=arguments.skip_bad,
+                on_progress=on_progress,
+            )
         return _report(arguments.out, log, f"{log.obstacles} obstacles, {log.missed} missed")
     if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
         _check_sequences(arguments)
@@ -149,6 +154,7 @@ def _report(out: Path, counts: CollectedCounts, words: str) -> int:
             f"warning: {counts.bad_lines} malformed lines skipped, the first: {counts.first_bad}",
             file=sys.stderr,
         )
+    tell_doubts(counts.doubts)
     return 0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
 from pemviz.cli.pem.memory import (
     fitted_memory,
     judged,
@@ -142,6 +142,7 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
     tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    tell_doubts(tracks.doubts)
     source = tracks.obstacles.source
     provenance = Provenance(data=arguments.data or source, licence=arguments.licence)
     name = arguments.name or arguments.out.stem

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pemviz.bars import progress_bar
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed
+from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
 from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import TrackTable, load_tracks
@@ -62,6 +62,7 @@ def run(arguments: MemoryArguments) -> int:
     tracks = load_tracks(
         arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
     )
+    tell_doubts(tracks.doubts)
     held_out, report = fitted_memory(
         tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
     )

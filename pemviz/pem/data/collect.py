@@ -21,6 +21,7 @@ from pemviz.pem.data.detections import (
     open_detections,
     read_sequence_detections,
 )
+from pemviz.pem.data.frame_shift import ShiftTally
 from pemviz.pem.data.kitti_labels import (
     MISC,
     TYPES,
@@ -76,6 +77,28 @@ class CollectedCounts:
     bad_lines: int = 0
     first_bad: str = ""
     """What was wrong with the first of them."""
+    doubts: tuple[str, ...] = ()
+    """What looks wrong, but may be meant, in words."""
+
+    def judge(
+        self,
+        rows: int,
+        *,
+        labels: Path,
+        types: Sequence[str] = (),
+        shift: ShiftTally | None = None,
+    ) -> None:
+        """Look at what came out of all files, whose ``rows`` are those of the table.
+
+        Raises:
+            PemError: There is no row.
+        """
+        if rows == 0:
+            kinds = " ".join(types) or "any class"
+            left_out = f", {self.dropped} are left out" if self.dropped else ""
+            raise PemError(f"labels = {labels}: no obstacle of {kinds}{left_out}")
+        if shift is not None and (words := shift.words()):
+            self.doubts += (words,)
 
     def on_bad_line(self, *, skip_bad: bool) -> OnBadLine:
         """What a reader does with a malformed line: it is counted, or raised."""
@@ -164,10 +187,13 @@ def collect(
         on_bad_line=on_bad_line,
     )
     rows: list[tuple[str, tuple[str, str] | None]] = []
+    labelled, reported = dict[int, list[Box]](), dict[int, list[Box]]()
     for done, file in enumerate(files, start=1):
         obstacles = read_labels(file, on_bad_line=on_bad_line)
         boxes, types = [each.box_px for each in obstacles], [each.type for each in obstacles]
-        outcomes = _match(boxes, reader(file.stem), options, types=types)
+        seen = reader(file.stem)
+        labelled[done], reported[done] = boxes, [each.box_px for each in seen]
+        outcomes = _match(boxes, seen, options, types=types)
         for obstacle, (overlap, partner) in zip(obstacles, outcomes, strict=True):
             if options.drop_unknown and _is_unknown(obstacle):
                 counts.dropped += 1
@@ -180,6 +206,9 @@ def collect(
         counts.frames += 1
         if on_progress is not None:
             on_progress(done, len(files))
+    shift = ShiftTally()
+    shift.add(labelled, reported)
+    counts.judge(counts.obstacles, labels=labels, shift=shift)
     header = ("frame", *OBSTACLE_COLUMNS, "iou")
     if any(errors is not None for _, errors in rows):
         lines = (",".join((cells, *(errors or ("", "")))) for cells, errors in rows)
@@ -219,7 +248,7 @@ def collect_tracks(
         raise PemError(f"{labels}: no folder with KITTI tracking labels (*.txt)")
     if unknown := [name for name in types if name not in CLASS_ID]:
         raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASS_ID)}")
-    counts, lines = TrackCounts(), list[str]()
+    counts, lines, shift = TrackCounts(), list[str](), ShiftTally()
     on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
     placed = sequence_format == "ab3dmot"
     for done, file in enumerate(files, start=1):
@@ -234,7 +263,7 @@ def collect_tracks(
         counts.other_types += len(tracked) - len(kept)
         rows: list[TrackRow] = []
         boxes = ((each.frame, each.obstacle.box_px, each) for each in kept)
-        for each, overlap, partner in match_frames(boxes, found, options, counts):
+        for each, overlap, partner in match_frames(boxes, found, options, counts, shift):
             obstacle = each.obstacle
             if options.drop_unknown and _is_unknown(obstacle):
                 counts.dropped += 1
@@ -248,6 +277,7 @@ def collect_tracks(
         lines += counts.add_sequence(rows)
         if on_progress is not None:
             on_progress(done, len(files))
+    counts.judge(counts.observations, labels=labels, types=types, shift=shift)
     header = (*TRACK_COLUMNS, *OBSTACLE_COLUMNS, "iou")
     write_table(out, (*header, *PLANE_COLUMNS) if placed else header, lines)
     return counts
@@ -258,14 +288,19 @@ def match_frames(
     found: Mapping[int, Sequence[Detection]],
     options: CollectOptions,
     counts: TrackCounts,
+    shift: ShiftTally,
 ) -> Iterator[tuple[Label, float, Detection | None]]:
     """Each label of a sequence, given with its frame and box, with its partner and their overlap.
 
-    Detections whose score is too low are counted.
+    Detections whose score is too low are counted; overlaps with frames around go into ``shift``.
     """
     by_frame: dict[int, list[tuple[Box, Label]]] = {}
     for frame, box, label in labels:
         by_frame.setdefault(frame, []).append((box, label))
+    shift.add(
+        {frame: [box for box, _ in present] for frame, present in by_frame.items()},
+        {frame: [each.box_px for each in seen] for frame, seen in found.items()},
+    )
     for frame, present in by_frame.items():
         seen = found.get(frame, [])
         counts.ignored_detections += sum(each.score < options.score_from for each in seen)

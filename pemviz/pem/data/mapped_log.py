@@ -1,128 +1,47 @@
 """Somebody's own log as the table that models learn from, by a mapping of its columns.
 
 A log has a row for each obstacle at each moment, with what a detector made of it; in one file, or
-in two whose rows belong together. The mapping, a small TOML, names, for each column of the table, a
-column of the log or a number::
-
-    [labels]                              # and [detections], for the second file
-    separator = ","                       # the default; or ";", "tab", "whitespace"
-    header = ["t", "x", "y"]              # only where the file has no header line
-
-    [columns]
-    class_id = 0                          # a number: the same in every row
-    x_m = "lateral"                       # a column
-    z_m = { column = "range_cm", times = 0.01, plus = -1.5 }
-    occlusion = { column = "visible", values = { full = 0, part = 1 } }
-
-Needed are the salient variables of ``pemviz.pem.SALIENT_COLUMNS`` (without ``alpha_rad`` it follows
-from place and rotation) and ``detected``. ``x_error_m`` and ``z_error_m`` count where detected;
-``sequence``, ``frame``, ``track`` and ``rate_hz`` make a table of tracks of it.
+in two whose rows belong together: text, JSON lines, parquet or Arrow. It is read and written in
+batches (:mod:`pemviz.pem.data.log_batches`); where its columns are a mapping says
+(:mod:`pemviz.pem.data.log_mapping`).
 """
 
-import math
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from pemviz.config.records import read_record
-from pemviz.errors import ConfigError, PemError
-from pemviz.files.text_files import open_text
-from pemviz.pem.data.collect import CollectedCounts, write_table
+from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.errors import PemError
+from pemviz.files.atomic import write_atomically
+from pemviz.files.text_files import writing
+from pemviz.pem.data.collect import CollectedCounts, Progress
+from pemviz.pem.data.columns import Columns, numbers_of, text_of
+from pemviz.pem.data.log_batches import LogBatch, log_batches
+from pemviz.pem.data.log_mapping import (
+    ALPHA,
+    MOMENTS,
+    NAMES,
+    ColumnMapping,
+    Source,
+    read_mapping,
+)
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
-from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
-from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows
+from pemviz.pem.data.table import OUTCOME_COLUMN, RATE_COLUMN, TIME_COLUMN
+from pemviz.pem.data.timing import check_rates, clock_words, rates_of
+from pemviz.pem.data.units import check_plausible, unit_factor
+from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows, known_codes
 
-Separator = Literal[",", ";", "tab", "whitespace"]
-SEPARATORS: Mapping[Separator, str | None] = {",": ",", ";": ";", "tab": "\t", "whitespace": None}
-ALPHA = "alpha_rad"
-NEEDED = (*(name for name in SALIENT_COLUMNS if name != ALPHA), OUTCOME_COLUMN)
-KNOWN = (*NEEDED, ALPHA, *PLANE_COLUMNS, *TRACK_COLUMNS)
-LARGEST_BYTES = 1_000_000
 MOST_LISTED = 20
-
-Cells = Mapping[str, str]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FileShape:
-    """How one file of a log is written."""
-
-    separator: Separator = ","
-    header: tuple[str, ...] = ()
-    """Names of the columns where the file itself has none."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Where a column's values come from: times * value + plus."""
-
-    column: str
-    times: float = 1.0
-    """For other units, or the other direction."""
-    plus: float = 0.0
-    """In the table's unit."""
-    values: Mapping[str, float] = field(default_factory=dict[str, float])
-    """What stands for each text; numbers are read as they are without it."""
-
-
-@dataclass(frozen=True)
-class ColumnMapping:
-    """How the files of a log are written, and where each column of the table is from."""
-
-    labels: FileShape
-    detections: FileShape
-    columns: Mapping[str, Source | float]
-
-
-def read_mapping(path: Path) -> ColumnMapping:
-    """Read a mapping.
-
-    Raises:
-        PemError: it cannot be read, or a line of it says what, where and what is allowed.
-    """
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(LARGEST_BYTES)
-        table = tomllib.loads(content.decode("utf-8"))
-        if unknown := set(table) - {"labels", "detections", "columns"}:
-            message = f"{min(unknown)}: must be labels, detections or columns"
-            raise ConfigError(message)
-        columns = _columns(table.get("columns"))
-        shapes = [
-            read_record(FileShape, table.get(name, {}), name=name)
-            for name in ("labels", "detections")
-        ]
-    except OSError as error:
-        raise PemError(f"mapping {path}: cannot be read ({error.strerror or error})") from None
-    except (ConfigError, ValueError, RecursionError) as error:
-        raise PemError(f"mapping {path}: {error}") from None
-    return ColumnMapping(labels=shapes[0], detections=shapes[1], columns=columns)
-
-
-def _columns(given: object) -> Mapping[str, Source | float]:
-    table: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
-    if missing := [name for name in NEEDED if name not in table]:
-        message = f"columns: lacks {', '.join(missing)}"
-        raise ConfigError(message)
-    found: dict[str, Source | float] = {}
-    for name, value in table.items():
-        if name not in KNOWN:
-            message = f"columns.{name}: must be one of {', '.join(KNOWN)}"
-            raise ConfigError(message)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            found[name] = float(value)
-        else:
-            source = {"column": value} if isinstance(value, str) else value
-            found[name] = read_record(Source, source, name=f"columns.{name}")
-    tracked = [name for name in TRACK_COLUMNS if name in found]
-    if tracked and len(tracked) < len(TRACK_COLUMNS):
-        message = f"columns: of {', '.join(TRACK_COLUMNS)} all or none, here {', '.join(tracked)}"
-        raise ConfigError(message)
-    return found
+PROGRESS_STEPS = 1000
+JUDGED_ROWS = 200_000
+"""Rows at the beginning whose units are judged."""
+LARGEST_FRAME = 2.0**53
+SPECIAL = (",", '"', "\n", "\r")
+"""What a name in a table of text cannot hold."""
 
 
 @dataclass
@@ -133,112 +52,273 @@ class LogCounts(CollectedCounts):
 
 
 def collect_log(
-    *, labels: Path, detections: Path, mapping: Path, out: Path, skip_bad: bool = False
+    *,
+    labels: Path,
+    detections: Path,
+    mapping: Path,
+    out: Path,
+    skip_bad: bool = False,
+    on_progress: Progress | None = None,
 ) -> LogCounts:
-    """Write a row for each of a log's, to a CSV that is complete or not there.
+    """Write a row for each of a log's, to a table that is complete or not there.
 
     ``labels`` and ``detections`` are the log twice, or its file of obstacles and what the detector
-    made of each, row by row. Malformed rows are counted and passed over if ``skip_bad``.
+    made of each, row by row. Malformed rows are counted and passed over if ``skip_bad``. Rows are
+    read and written in batches; ``out`` is CSV unless it ends in .parquet. ``on_progress`` is
+    called with thousandths of the log.
 
     Raises:
-        PemError: naming file, line and column of what is malformed, or what is missing.
+        PemError: naming file, line and column of what is malformed, or what is missing; units that
+            cannot be; an obstacle that is there twice at a moment.
     """
-    plan, counts, lines = read_mapping(mapping), LogCounts(), list[str]()
-    on_bad_line = counts.on_bad_line(skip_bad=skip_bad)
-    written = [name for name in (*TRACK_COLUMNS, *SALIENT_COLUMNS, OUTCOME_COLUMN, *PLANE_COLUMNS)
-               if name in plan.columns or name == ALPHA]  # fmt: skip
-    for where, cells in _rows(plan, labels, detections):
+    plan, counts = read_mapping(mapping), LogCounts()
+    batches = log_batches((labels, plan.labels), (detections, plan.detections), wanted=plan.wanted)
+    moments, judged = _Moments(labels), list[FloatArray]()
+
+    def write(stream: BinaryIO) -> None:
+        with _table_writer(out, stream, plan.written) as write_columns:
+            for batch in batches:
+                columns, lines = _columns_of(plan, batch, counts, skip_bad=skip_bad)
+                moments.add(columns, lines)
+                if sum(map(len, judged)) < JUDGED_ROWS:
+                    judged.append(np.stack([columns[name] for name in SALIENT_COLUMNS], axis=1))
+                write_columns(columns)
+                if on_progress is not None:
+                    on_progress(round(batch.done * PROGRESS_STEPS), PROGRESS_STEPS)
+        if not counts.obstacles:
+            raise PemError(f"{labels}: no rows; the first is wrong: {counts.first_bad}")
         try:
-            row = _row(plan, cells, where)
+            check_plausible(np.concatenate(judged))
         except PemError as error:
-            on_bad_line(error)
-            continue
-        counts.obstacles += 1
-        counts.missed += row[OUTCOME_COLUMN] == "0"
-        lines.append(",".join(row[name] for name in written))
-    write_table(out, written, lines)
+            raise PemError(f"{labels}: {error}") from None
+        counts.judge(counts.obstacles, labels=labels)
+        counts.doubts += moments.checked()
+
+    with writing(out):
+        write_atomically(out, write)
     return counts
 
 
-def _rows(plan: ColumnMapping, labels: Path, detections: Path) -> Iterator[tuple[str, Cells]]:
-    """Where each row stands, and its cells by name; of two files side by side."""
-    if labels == detections:
-        yield from _file_rows(labels, plan.labels)
-        return
-    own, others = (list(_file_rows(*file)) for file in
-                   ((labels, plan.labels), (detections, plan.detections)))  # fmt: skip
-    if len(own) != len(others):
-        raise PemError(f"{detections}: {len(others)} rows, but {len(own)} in {labels}")
-    for (where, first), (_, second) in zip(own, others, strict=True):
-        yield where, {**first, **second}
+@contextmanager
+def _table_writer(
+    out: Path, stream: BinaryIO, names: Sequence[str]
+) -> Generator[Callable[[Mapping[str, AnyArray]], None]]:
+    """What writes the columns of a batch; numbers keep all digits, NaN is an empty cell."""
+    import pyarrow as pa  # noqa: PLC0415  slow to import
+    from pyarrow import csv, parquet  # noqa: PLC0415
+
+    types = {**dict.fromkeys(NAMES, pa.string()), "frame": pa.int64()}
+    schema: Any = pa.schema([pa.field(name, types.get(name, pa.float64())) for name in names])
+    if out.suffix == ".parquet":
+        table: Any = parquet.ParquetWriter(stream, schema)
+    else:
+        stream.write(f"{','.join(names)}\n".encode())
+        options = csv.WriteOptions(include_header=False, quoting_style="none")
+        table = csv.CSVWriter(stream, schema, write_options=options)
+
+    def write(columns: Mapping[str, AnyArray]) -> None:
+        arrays = [pa.array(columns[one.name], one.type, from_pandas=True) for one in schema]
+        table.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+    with table:
+        yield write
 
 
-def _file_rows(path: Path, shape: FileShape) -> Iterator[tuple[str, Cells]]:
-    separator, header = SEPARATORS[shape.separator], list[str](shape.header)
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, start=1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            cells = [cell.strip() for cell in line.strip("\r\n").split(separator)]
-            if not header:
-                header = cells
-                continue
-            if len(cells) != len(header):
-                wanted = f"{len(cells)} columns where {len(header)} are needed"
-                raise PemError(f"{path}:{number}: {wanted}")
-            yield f"{path}:{number}", dict(zip(header, cells, strict=True))
+@dataclass
+class _Complaints:
+    """What is wrong with which rows of a batch."""
+
+    rows: Columns
+    wrong: BoolArray
+    said: list[tuple[BoolArray, Callable[[int], str]]] = field(default_factory=list)
+
+    def add(self, wrong: BoolArray, words: Callable[[int], str]) -> None:
+        if wrong.any():
+            self.wrong |= wrong
+            self.said.append((wrong, words))
+
+    def first(self) -> PemError:
+        row = int(np.argmax(self.wrong))
+        words = next(words for wrong, words in self.said if wrong[row])
+        return PemError(f"{self.rows.place(row)}: {words(row)}")
 
 
-def _row(plan: ColumnMapping, cells: Cells, where: str) -> dict[str, str]:
-    columns, texts = plan.columns, dict[str, str]()
-    for name in TRACK_COLUMNS:
-        if name in columns:
-            source = columns[name]
-            is_column = isinstance(source, Source)
-            texts[name] = _cell(source, cells, where) if is_column else f"{source:g}"
-    values = {
-        name: _value(columns[name], name, cells, where)
-        for name in (*SALIENT_COLUMNS, OUTCOME_COLUMN)
-        if name in columns
+def _columns_of(
+    plan: ColumnMapping, batch: LogBatch, counts: LogCounts, *, skip_bad: bool
+) -> tuple[dict[str, AnyArray], IntArray]:
+    """Columns of the table of a batch's sound rows, and where these stand."""
+    rows = batch.rows
+    complaints = _Complaints(rows, np.zeros(len(rows), dtype=np.bool_))
+    columns: dict[str, AnyArray] = {
+        name: _names(plan.columns[name], rows, complaints) for name in NAMES if name in plan.columns
     }
-    if values[OUTCOME_COLUMN] not in (0.0, 1.0):
-        raise PemError(f"{where}: detected is {values[OUTCOME_COLUMN]:g}, allowed: 0 or 1")
-    if ALPHA not in values:
-        turned = values["rotation_y_rad"] - math.atan2(values["x_m"], values["z_m"])
-        values[ALPHA] = math.remainder(turned, 2.0 * math.pi)
-    try:
-        check_rows(np.array([[values[name] for name in SALIENT_COLUMNS]]))
-    except PemError as error:
-        raise PemError(f"{where}: {str(error).removeprefix('salient row 0: ')}") from None
-    texts |= {name: f"{value:.10g}" for name, value in values.items()}
-    for name in PLANE_COLUMNS:
-        if name in columns:
-            is_hit = values[OUTCOME_COLUMN] == 1.0
-            texts[name] = f"{_value(columns[name], name, cells, where):.6g}" if is_hit else ""
-    return texts
-
-
-def _cell(source: Source, cells: Cells, where: str) -> str:
-    if source.column not in cells:
-        names = ", ".join(list(cells)[:MOST_LISTED])
-        raise PemError(f"{where}: no column {source.column!r}, there are: {names}")
-    return cells[source.column]
-
-
-def _value(source: Source | float, name: str, cells: Cells, where: str) -> float:
-    """A number of the table, in its unit."""
-    if not isinstance(source, Source):
-        return source
-    text = _cell(source, cells, where)
-    read: Callable[[str], float] = source.values.__getitem__ if source.values else float
-    try:
-        value = source.times * read(text) + source.plus
-    except (KeyError, ValueError):
-        value = math.nan
-    if not math.isfinite(value):
-        listed = ", ".join(list(source.values)[:MOST_LISTED])
-        allowed = f"one of {listed}" if listed else "a number"
-        raise PemError(
-            f"{where}: {source.column}, for {name}, is {text[:40]!r}, allowed: {allowed}"
+    for name in (*MOMENTS, *SALIENT_COLUMNS, OUTCOME_COLUMN):
+        if name in plan.columns:
+            columns[name] = _numbers(plan.columns[name], name, rows, complaints)
+    outcome = columns[OUTCOME_COLUMN]
+    complaints.add(
+        ~np.isin(outcome, (0.0, 1.0)), lambda row: f"detected is {outcome[row]:g}, allowed: 0 or 1"
+    )
+    if ALPHA not in columns:
+        turned = columns["rotation_y_rad"] - np.arctan2(columns["x_m"], columns["z_m"])
+        columns[ALPHA] = turned - 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
+    salient = np.stack([columns[name] for name in SALIENT_COLUMNS], axis=1)
+    complaints.add(~known_codes(salient), lambda row: _wrong_code(salient[row]))
+    if "frame" in columns:
+        frame = columns["frame"]
+        is_frame = (frame >= 0.0) & (frame < LARGEST_FRAME) & (frame == np.floor(frame))
+        complaints.add(
+            ~is_frame, lambda row: f"frame is {frame[row]:g}, allowed: whole numbers from 0 on"
         )
-    return value
+        columns["frame"] = np.where(is_frame, frame, 0.0).astype(np.int64)
+    for name in PLANE_COLUMNS:
+        if name in plan.columns:
+            hits = outcome == 1.0
+            values = _numbers(plan.columns[name], name, rows, complaints, counting=hits)
+            columns[name] = np.where(hits, values, np.nan)
+    if complaints.wrong.any():
+        if not skip_bad:
+            raise complaints.first()
+        counts.bad_lines += int(complaints.wrong.sum())
+        counts.first_bad = counts.first_bad or str(complaints.first())
+    kept = ~complaints.wrong
+    counts.obstacles += int(kept.sum())
+    counts.missed += int(np.count_nonzero(outcome[kept] == 0.0))
+    return {name: values[kept] for name, values in columns.items()}, rows.lines[kept]
+
+
+def _wrong_code(salient: FloatArray) -> str:
+    try:
+        check_rows(salient[None, :])
+    except PemError as error:
+        return str(error).removeprefix("salient row 0: ")
+    return "salient variables are not known"
+
+
+def _column(source: Source, rows: Columns) -> Any:
+    if source.column not in rows.header:
+        names = ", ".join(rows.header[:MOST_LISTED])
+        raise PemError(f"{rows.place(0)}: no column {source.column!r}, there are: {names}")
+    return rows.table.column(source.column)
+
+
+def _names(source: Source | float, rows: Columns, complaints: _Complaints) -> AnyArray:
+    """Texts that name something ``[n]``."""
+    if not isinstance(source, Source):
+        return np.full(len(rows), f"{source:g}", dtype=object)
+    texts = [text_of(cell) for cell in _column(source, rows).to_pylist()]
+    wrong = np.array([not text or any(mark in text for mark in SPECIAL) for text in texts])
+    complaints.add(
+        wrong,
+        lambda row: f"{source.column} is {texts[row][:40]!r}, must be a name without commas",
+    )
+    return np.array(texts, dtype=object)
+
+
+def _numbers(
+    source: Source | float,
+    name: str,
+    rows: Columns,
+    complaints: _Complaints,
+    *,
+    counting: BoolArray | None = None,
+) -> FloatArray:
+    """A column of the table ``[n]``, in its unit; where it does not count it may be anything."""
+    if not isinstance(source, Source):
+        return np.full(len(rows), source)
+    column = _column(source, rows)
+    if source.values:
+        texts = [text_of(cell) for cell in column.to_pylist()]
+        values = np.array([source.values.get(text, np.nan) for text in texts])
+    else:
+        values, _ = numbers_of(column)
+    factor = source.times
+    if source.unit is not None:
+        factor *= unit_factor(source.unit, name, where=name)
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = factor * values + source.plus
+    wrong = ~np.isfinite(values)
+
+    def words(row: int) -> str:
+        listed = ", ".join(list(source.values)[:MOST_LISTED])
+        cell = text_of(column[row].as_py())[:40]
+        allowed = f"one of {listed}" if listed else "a number"
+        return f"{source.column}, for {name}, is {cell!r}, allowed: {allowed}"
+
+    complaints.add(wrong if counting is None else wrong & counting, words)
+    return values
+
+
+@dataclass
+class _Moments:
+    """Who is there when, over all of a log: 28 bytes a row.
+
+    Attributes:
+        path: The log, for messages.
+    """
+
+    path: Path
+    codes: dict[str, dict[str, int]] = field(default_factory=dict[str, dict[str, int]])
+    parts: dict[str, list[AnyArray]] = field(default_factory=dict[str, list[AnyArray]])
+
+    def add(self, columns: Mapping[str, AnyArray], lines: IntArray) -> None:
+        """Take what names a batch's rows; nothing where obstacles are not followed."""
+        if "track" not in columns:
+            return
+        self._keep("line", lines.astype(np.int32))
+        for name in NAMES:
+            code = self.codes.setdefault(name, {})
+            values, place = np.unique(columns[name].astype(str), return_inverse=True)
+            known = [code.setdefault(str(value), len(code)) for value in values]
+            self._keep(name, np.array(known, dtype=np.int32)[place])
+        for name in MOMENTS:
+            if name in columns:
+                self._keep(name, columns[name])
+
+    def _keep(self, name: str, values: AnyArray) -> None:
+        self.parts.setdefault(name, []).append(values)
+
+    def checked(self) -> tuple[str, ...]:
+        """What is to be known of rates and gaps.
+
+        Raises:
+            PemError: An obstacle is there twice at a moment, or rates and times differ.
+        """
+        if not self.parts:
+            return ()
+        kept = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
+        sequence = kept["sequence"]
+        track = sequence * np.int64(len(self.codes["track"])) + kept["track"]
+        when = kept.get(TIME_COLUMN, kept.get("frame"))
+        assert when is not None  # noqa: S101  the mapping says so
+        order = np.lexsort((when, track))
+        follows = np.append(False, np.diff(track[order]) == 0)
+        apart = np.diff(when[order].astype(np.float64), prepend=0.0)
+        self._check_twice(follows & (apart == 0.0), order, kept)
+        names = np.array(list(self.codes["sequence"]))
+        if TIME_COLUMN in kept:
+            rate_hz = rates_of(
+                when, sequence=sequence, track=track, names=names, where=str(self.path)
+            )
+            if RATE_COLUMN in kept:
+                check_rates(kept[RATE_COLUMN], rate_hz, names[sequence], where=str(self.path))
+            since_s = apart
+        else:
+            rate_hz = kept[RATE_COLUMN]
+            since_s = apart / rate_hz[order]
+        since_s = np.where(follows, since_s, np.inf)
+        return tuple(clock_words(since_s, rate_hz[order], sequence[order]))
+
+    def _check_twice(self, again: BoolArray, order: IntArray, kept: Mapping[str, AnyArray]) -> None:
+        if not again.any():
+            return
+        place = int(np.argmax(again))
+        first, second = sorted(int(row) for row in order[place - 1 : place + 1])
+        names = {name: list(self.codes[name])[kept[name][second]] for name in NAMES}
+        when = TIME_COLUMN if TIME_COLUMN in kept else "frame"
+        raise PemError(
+            f"{self.path}:{kept['line'][second]}: track {names['track']} of sequence "
+            f"{names['sequence']} is there with {when} {kept[when][second]:.10g} as in line "
+            f"{kept['line'][first]} already; {np.count_nonzero(again)} rows are there again: give "
+            "each once, as a miss counted twice makes misses seem to follow each other"
+        )

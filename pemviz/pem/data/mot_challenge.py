@@ -30,6 +30,7 @@ from pemviz.pem.data.collect import (
     write_table,
 )
 from pemviz.pem.data.detections import Detection
+from pemviz.pem.data.frame_shift import ShiftTally
 from pemviz.pem.data.kitti_labels import LARGEST_NUMBER, Box, box, numbers, parsed_lines
 from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 
@@ -93,7 +94,7 @@ def collect_mot(
     if unknown := [name for name in types if name not in CLASSES]:
         raise PemError(f"types: {unknown[0]!r} is no class, allowed: {', '.join(CLASSES)}")
     files, reported = _sequence_files(labels, "gt"), _sequence_files(detections, "det")
-    counts, lines = TrackCounts(), list[str]()
+    counts, lines, shift = TrackCounts(), list[str](), ShiftTally()
     on_bad_line = counts.on_bad_line(skip_bad=options.skip_bad)
     for done, (sequence, file) in enumerate(files.items(), start=1):
         plain(sequence, labels)
@@ -107,7 +108,7 @@ def collect_mot(
         rate = _sequence_rate_hz(file) or rate_hz
         boxes = ((each.frame, each.box_px, each) for each in truth)
         rows: list[TrackRow] = []
-        for each, overlap, _ in match_frames(boxes, found, options, counts):
+        for each, overlap, _ in match_frames(boxes, found, options, counts, shift):
             if types and each.type not in types:
                 counts.other_types += 1
             elif not each.counts:
@@ -119,6 +120,7 @@ def collect_mot(
         lines += counts.add_sequence(rows)
         if on_progress is not None:
             on_progress(done, len(files))
+    counts.judge(counts.observations, labels=labels, types=types, shift=shift)
     write_table(out, TABLE_COLUMNS, lines)
     return counts
 

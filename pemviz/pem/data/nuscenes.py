@@ -395,6 +395,7 @@ def collect_nuscenes(
             on_progress(done, len(samples))
     counts.samples, counts.observations = len(samples), len(rows)
     counts.tracks = len({key[:2] for key, _ in rows})
+    counts.judge(len(rows), labels=labels, types=types)
     write_table(out, TABLE_COLUMNS, (line for _, line in sorted(rows)))
     return counts
 

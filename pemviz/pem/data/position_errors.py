@@ -34,7 +34,8 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import read_numbers
-from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, OUTCOME_COLUMN, CsvTable, read_csv
+from pemviz.pem.data.columns import Columns, read_columns
+from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE, OUTCOME_COLUMN, TIME_COLUMN
 
 RANGE, CROSS_RANGE, SPEED = "range", "cross_range", "speed"
 AXIS_COLUMNS = {
@@ -163,7 +164,7 @@ def load_error_csv(path: Path, *, rate_hz: float | None = None) -> PositionError
     """
     if not is_file(path):
         raise PemError(f"{path}: no such table of position errors")
-    csv = read_csv(path)
+    csv = read_columns(path)
     lacking = [name for name in ("x_m", "z_m") if name not in csv.header]
     own = [name for axis, name in AXIS_COLUMNS.items() if axis != SPEED]
     along_sight = set(own) <= set(csv.header)
@@ -199,21 +200,22 @@ def load_error_csv(path: Path, *, rate_hz: float | None = None) -> PositionError
     )
 
 
-def _detected(csv: CsvTable) -> CsvTable:
+def _detected(csv: Columns) -> Columns:
     if OUTCOME_COLUMN in csv.header:
-        column = csv.header.index(OUTCOME_COLUMN)
-        for number, cells in csv.lines:
-            if cells[column] not in ("0", "1"):
-                where = f"{csv.path}:{number}: column {column + 1} ({OUTCOME_COLUMN})"
-                raise PemError(f"{where} is {cells[column]!r}, allowed: 0, 1")
-        csv = replace(csv, lines=[line for line in csv.lines if line[1][column] == "1"])
-    if not csv.lines:
+        outcome = csv.numbers(OUTCOME_COLUMN)
+        wrong = ~np.isin(outcome, (0.0, 1.0))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            where = csv.where(row, OUTCOME_COLUMN)
+            raise PemError(f"{where} is {str(csv.texts(OUTCOME_COLUMN)[row])!r}, allowed: 0, 1")
+        csv = csv.only(outcome == 1.0)
+    if not len(csv):
         raise PemError(f"{csv.path}: the table has no rows of detected obstacles")
     return csv
 
 
 def _who_and_when(
-    csv: CsvTable, rate_hz: float | None
+    csv: Columns, rate_hz: float | None
 ) -> tuple[IntArray | None, IntArray | None, FloatArray | None]:
     """Sequence, track and time ``[n]``, each ``None`` where the table does not tell."""
     sequence = csv.labels("sequence") if "sequence" in csv.header else None
@@ -222,14 +224,17 @@ def _who_and_when(
     own = csv.labels("track")
     pair = own if sequence is None else sequence * (own.max() + 1) + own
     track = np.unique(pair, return_inverse=True)[1].astype(np.int64)
-    if "frame" not in csv.header or ("rate_hz" not in csv.header and rate_hz is None):
+    if TIME_COLUMN in csv.header:
+        time_s = csv.numbers(TIME_COLUMN)
+    elif "frame" not in csv.header or ("rate_hz" not in csv.header and rate_hz is None):
         return sequence, track, None
-    rate = np.full(len(csv.lines), rate_hz)
-    if "rate_hz" in csv.header:
-        rate = csv.numbers("rate_hz", largest=LARGEST)
-    if not (rate > 0.0).all():
-        raise PemError(f"{csv.path}: column 'rate_hz' must be above 0")
-    time_s = csv.numbers("frame", largest=LARGEST) / rate
+    else:
+        rate = np.full(len(csv), rate_hz or 0.0)
+        if "rate_hz" in csv.header:
+            rate = csv.numbers("rate_hz", largest=LARGEST)
+        if not (rate > 0.0).all():
+            raise PemError(f"{csv.path}: column 'rate_hz' must be above 0")
+        time_s = csv.numbers("frame", largest=LARGEST) / rate
     order = np.lexsort((time_s, track))
     same: BoolArray = np.diff(track[order]) == 0
     if (same & (np.diff(time_s[order]) == 0.0)).any():

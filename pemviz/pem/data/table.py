@@ -4,7 +4,6 @@ In a table of tracks obstacles are followed over time: who was seen when.
 """
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,17 @@ from numpy.typing import NDArray
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.files.text_files import open_text, read_numbers
+from pemviz.files.text_files import read_numbers
+from pemviz.pem.data.columns import TABLE_SUFFIXES, Columns, read_columns, table_header
+from pemviz.pem.data.timing import (
+    GAP,
+    check_not_logged_again,
+    check_not_twice,
+    check_rates,
+    clock_words,
+    rates_of,
+)
+from pemviz.pem.data.units import check_plausible
 from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows
 
 OUTCOME_COLUMN = "detected"
@@ -23,7 +32,8 @@ INPUTS_FILE = "salient_inputs.txt"
 LABELS_FILE = "salient_labels.txt"
 RATE_COLUMN = "rate_hz"
 TRACK_COLUMNS = ("sequence", "frame", "track", RATE_COLUMN)
-REQUIRED = ("sequence", "frame", "track", OUTCOME_COLUMN)
+TIME_COLUMN = "time_s"
+"""Time stamps [s], which may stand in the place of frame and rate_hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +79,16 @@ class SalientTable:
 
 
 def load_table(path: Path | str) -> SalientTable:
-    """Read a table: a CSV as ``pemviz pem collect`` writes it, or the authors' folder of two files.
+    """Read a table: as ``pemviz pem collect`` writes it, or the authors' folder of two files.
+
+    A table is CSV, parquet or Arrow (.arrow, .feather).
 
     Raises:
         PemError: the file is missing or malformed; the message names file, line and column.
     """
     path = Path(path)
-    sequence = None
+    if not is_folder(path) and path.suffix in TABLE_SUFFIXES and is_file(path):
+        return _table_of_columns(read_columns(path, *SALIENT_COLUMNS, OUTCOME_COLUMN))
     if is_folder(path):
         for name in (INPUTS_FILE, LABELS_FILE):
             if not is_file(path / name):
@@ -85,22 +98,34 @@ def load_table(path: Path | str) -> SalientTable:
         detected = read_numbers(path / LABELS_FILE, separator=None, columns=labels)[:, 0]
         if len(salient) != len(detected):
             raise PemError(f"{path}: {len(salient)} rows of inputs but {len(detected)} of labels")
-    elif path.suffix == ".csv" and is_file(path):
-        header = csv_header(path)
-        wanted = (*SALIENT_COLUMNS, OUTCOME_COLUMN)
-        CsvTable(path, header, ()).check_header(*wanted)
-        picked = tuple(header.index(name) for name in wanted)
-        values = read_numbers(path, separator=",", columns=header, picked=picked, skip_lines=1)
-        salient, detected = values[:, :-1], values[:, -1]
-        if {"sequence", "track"} <= set(header):
-            sequence = read_csv(path).labels("sequence")
     else:
         raise PemError(
-            f"{path}: no table; need a .csv of 'pemviz pem collect' or a folder with "
-            f"{INPUTS_FILE} and {LABELS_FILE}"
+            f"{path}: no table; need a .csv of 'pemviz pem collect', a .parquet or .arrow file, or "
+            f"a folder with {INPUTS_FILE} and {LABELS_FILE}"
         )
+    return _checked_table(path, salient, detected, sequence=None)
+
+
+def _table_of_columns(columns: Columns) -> SalientTable:
+    """Rows of obstacles; where tracks are followed, none is there twice."""
+    salient = np.empty((len(columns), len(SALIENT_COLUMNS)))
+    for index, name in enumerate(SALIENT_COLUMNS):
+        salient[:, index] = columns.numbers(name)
+    detected = columns.numbers(OUTCOME_COLUMN)
+    sequence = columns.labels("sequence") if {"sequence", "track"} <= set(columns.header) else None
+    table = _checked_table(columns.path, salient, detected, sequence=sequence)
+    moment = next((name for name in (TIME_COLUMN, "frame") if name in columns.header), None)
+    if sequence is not None and moment is not None:
+        check_not_twice(sequence, columns.labels("track"), columns.numbers(moment), columns)
+    return table
+
+
+def _checked_table(
+    path: Path, salient: FloatArray, detected: FloatArray, *, sequence: IntArray | None
+) -> SalientTable:
     try:
         check_rows(salient)
+        check_plausible(salient)
     except PemError as error:
         raise PemError(f"{path}: {error}") from None
     if not np.isin(detected, (0.0, 1.0)).all():
@@ -110,91 +135,12 @@ def load_table(path: Path | str) -> SalientTable:
     return SalientTable(salient, detected == 1.0, source=path.stem, sequence=sequence)
 
 
-def csv_header(path: Path) -> tuple[str, ...]:
-    """Names of a CSV's columns.
-
-    Raises:
-        PemError: It cannot be read.
-    """
-    with open_text(path) as stream:
-        return tuple(name.strip() for name in stream.readline().split(","))
-
-
 def save_table(table: SalientTable, path: Path) -> None:
     """Write the table as CSV, with as many digits as reading it back exactly needs."""
     lines = [",".join((*SALIENT_COLUMNS, OUTCOME_COLUMN))]
     for row, outcome in zip(table.salient.tolist(), table.detected.tolist(), strict=True):
         lines.append(",".join([*(f"{value!r}".removesuffix(".0") for value in row), str(+outcome)]))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-@dataclass(frozen=True)
-class CsvTable:
-    """A CSV's header, and number and cells of each line that is neither blank nor a comment."""
-
-    path: Path
-    header: Sequence[str]
-    lines: Sequence[tuple[int, Sequence[str]]]
-
-    def check_header(self, *wanted: str) -> None:
-        """Whether all columns are there that are wanted.
-
-        Raises:
-            PemError: Some are not.
-        """
-        if missing := [name for name in wanted if name not in self.header]:
-            raise PemError(f"{self.path}:1: the header lacks {', '.join(missing)}")
-
-    def labels(self, name: str) -> IntArray:
-        """What a column names ``[n]``, counted from 0 in the order of the names."""
-        return np.unique(self.texts(name), return_inverse=True)[1].astype(np.int64)
-
-    def texts(self, name: str) -> NDArray[np.str_]:
-        """A column as it is written ``[n]``."""
-        column = self.header.index(name)
-        return np.array([cells[column] for _, cells in self.lines])
-
-    def numbers(self, name: str, *, largest: float | None = None) -> FloatArray:
-        """A column's numbers ``[n]``, none beyond the largest if there is one.
-
-        Raises:
-            PemError: naming line and column of what is no number, or too large.
-        """
-        column, values = self.header.index(name), np.empty(len(self.lines))
-        allowed = "not a number"
-        if largest is not None:
-            allowed = f"allowed: a number from {-largest:g} to {largest:g}"
-        for row, (line, cells) in enumerate(self.lines):
-            try:
-                values[row] = float(cells[column])
-                wrong = largest is not None and not abs(values[row]) <= largest
-            except ValueError:
-                wrong = True
-            if wrong:
-                where = f"{self.path}:{line}: column {column + 1} ({name})"
-                raise PemError(f"{where} is {cells[column]!r}, {allowed}")
-        return values
-
-
-def read_csv(path: Path) -> CsvTable:
-    """Read a CSV as text.
-
-    Raises:
-        PemError: it cannot be read, or a line has not as many cells as the header.
-    """
-    with open_text(path) as stream:
-        header = [name.strip() for name in stream.readline().split(",")]
-        lines: list[tuple[int, list[str]]] = []
-        for number, line in enumerate(stream, start=2):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            cells = [cell.strip() for cell in line.split(",")]
-            if len(cells) != len(header):
-                raise PemError(
-                    f"{path}:{number}: {len(cells)} columns where {len(header)} are needed"
-                )
-            lines.append((number, cells))
-    return CsvTable(path, header, lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +154,8 @@ class TrackTable:
         frame: ``[n]``, as labelled.
         rate_hz: Frames a second, ``[n]``.
         has_state: Whether the salient variables are known; else they are all 0.
+        time_s: Time stamps ``[n]`` [s] where there are some, comparable within a sequence.
+        doubts: What looks wrong with it, but may be meant, in words.
     """
 
     obstacles: SalientTable
@@ -216,6 +164,8 @@ class TrackTable:
     frame: IntArray
     rate_hz: FloatArray
     has_state: bool = True
+    time_s: FloatArray | None = None
+    doubts: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.obstacles)
@@ -234,6 +184,7 @@ class TrackTable:
             track=self.track[rows],
             frame=self.frame[rows],
             rate_hz=self.rate_hz[rows],
+            time_s=None if self.time_s is None else self.time_s[rows],
         )
 
     @cached_property
@@ -251,6 +202,8 @@ class TrackTable:
     @cached_property
     def since_s(self) -> FloatArray:
         """Time since the track's observation before [s], ``[n]``; infinite at its first."""
+        if self.time_s is not None:
+            return np.where(self.follows, np.diff(self.time_s, prepend=self.time_s[:1]), np.inf)
         frames = np.diff(self.frame, prepend=self.frame[:1]).astype(np.float64)
         return np.where(self.follows, frames / self.rate_hz, np.inf)
 
@@ -264,6 +217,8 @@ class TrackTable:
     @property
     def gaps(self) -> int:
         """How often a track goes on after frames in which it was not observed."""
+        if self.time_s is not None:
+            return int(np.count_nonzero(self.follows & (self.since_s * self.rate_hz > GAP)))
         frames = np.diff(self.frame, prepend=self.frame[:1])
         return int(np.count_nonzero(self.follows & (frames > 1)))
 
@@ -294,6 +249,7 @@ def track_table(
     rate_hz: FloatArray,
     source: str,
     has_state: bool = True,
+    time_s: FloatArray | None = None,
 ) -> TrackTable:
     """Observations ``[n]`` in any order as a table in order.
 
@@ -307,7 +263,7 @@ def track_table(
     tracks, of_track = np.unique(track, return_inverse=True)
     pair = of_sequence.astype(np.int64) * tracks.size + of_track
     _, one_track = np.unique(pair, return_inverse=True)
-    order = np.lexsort((frame, one_track))
+    order = np.lexsort((frame if time_s is None else time_s, one_track))
     ordered = of_sequence[order].astype(np.int64)
     table = TrackTable(
         obstacles=SalientTable(salient[order], detected[order], source, sequence=ordered),
@@ -316,6 +272,7 @@ def track_table(
         frame=frame[order],
         rate_hz=rate_hz[order],
         has_state=has_state,
+        time_s=None if time_s is None else time_s[order],
     )
     twice = table.follows & (np.diff(table.frame, prepend=-1) == 0)
     if twice.any():
@@ -330,58 +287,127 @@ def track_table(
 def load_tracks(
     path: Path | str, *, rate_hz: float | None = None, needs_state: bool = True
 ) -> TrackTable:
-    """Read a CSV with sequence, frame, track, the salient columns and the outcome.
+    """Read a table with sequence, track, frame or time_s, the salient columns and the outcome.
+
+    Where it has time stamps (``time_s``), rates are each sequence's own by them, and the time
+    between two rows is what they say.
 
     Args:
-        path: as ``pemviz pem collect`` writes it of sequences, or one of the user's own.
-        rate_hz: frames a second where the table has no column ``rate_hz``.
+        path: as ``pemviz pem collect`` writes it of sequences, or one of the user's own; CSV,
+            parquet or Arrow.
+        rate_hz: frames a second where the table has neither a column ``rate_hz`` nor ``time_s``.
         needs_state: whether the salient columns must be there; else a table without any of them
             will do.
 
     Raises:
-        PemError: the file is missing or malformed; the message names file, line and column.
+        PemError: the file is missing or malformed, rows or frames are there again, or units cannot
+            be; the message names file, line and column.
     """
     path = Path(path)
     if not is_file(path):
         raise PemError(f"{path}: no such table of tracks")
-    csv = read_csv(path)
-    has_state = needs_state or any(name in csv.header for name in SALIENT_COLUMNS)
+    header = table_header(path)
+    has_state = needs_state or any(name in header for name in SALIENT_COLUMNS)
     state = SALIENT_COLUMNS if has_state else ()
-    csv.check_header(*REQUIRED, *state)
-    if RATE_COLUMN not in csv.header and rate_hz is None:
-        raise PemError(f"{path}:1: the header lacks {RATE_COLUMN}; give the rate of the frames")
-    number = {name: csv.numbers(name) for name in ("frame", OUTCOME_COLUMN, *state)}
-    rates = np.full(len(csv.lines), rate_hz)
-    if RATE_COLUMN in csv.header:
-        rates = csv.numbers(RATE_COLUMN)
-    nothing = np.zeros(len(csv.lines))
-    salient = np.stack([number.get(name, nothing) for name in SALIENT_COLUMNS], axis=1)
-    _check(path, number, rates, salient)
-    return track_table(
+    moment = () if TIME_COLUMN in header else ("frame",)
+    columns = read_columns(path, "sequence", *moment, "track", OUTCOME_COLUMN, *state)
+    salient = np.zeros((len(columns), len(SALIENT_COLUMNS)))
+    for index, name in enumerate(state):
+        salient[:, index] = columns.numbers(name)
+    detected = columns.numbers(OUTCOME_COLUMN)
+    frame, rates, time_s = _moments(columns, rate_hz)
+    _check(path, detected=detected, rates=rates, frame=frame, salient=salient, is_known=has_state)
+    table = track_table(
         salient=salient,
-        detected=number[OUTCOME_COLUMN] == 1.0,
-        sequence=csv.texts("sequence"),
-        track=csv.texts("track"),
-        frame=number["frame"].astype(np.int64),
+        detected=detected == 1.0,
+        sequence=columns.texts("sequence"),
+        track=columns.texts("track"),
+        frame=frame.astype(np.int64),
         rate_hz=rates,
         source=path.stem,
         has_state=has_state,
+        time_s=time_s,
     )
+    repeated = check_not_logged_again(
+        table.obstacles.salient if has_state else None,
+        table.detected,
+        follows=table.follows,
+        frame=table.frame,
+        where=str(path),
+    )
+    clock = clock_words(table.since_s, table.rate_hz, table.sequence)
+    return replace(table, doubts=(*repeated, *clock))
+
+
+def _moments(
+    columns: Columns, rate_hz: float | None
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Frame, rate and time stamp of each row ``[n]``.
+
+    Raises:
+        PemError: Nothing tells the rate, or time stamps do not fit it, or are there twice.
+    """
+    rates: FloatArray | None = None
+    if RATE_COLUMN in columns.header:
+        rates = columns.numbers(RATE_COLUMN)
+    if TIME_COLUMN not in columns.header:
+        if rates is None and rate_hz is None:
+            raise PemError(
+                f"{columns.path}:1: the header lacks {RATE_COLUMN}; give the rate of the frames"
+            )
+        given = np.full(len(columns), rate_hz or 0.0) if rates is None else rates
+        return columns.numbers("frame"), given, None
+    time_s, where = columns.numbers(TIME_COLUMN), str(columns.path)
+    if not np.isfinite(time_s).all():
+        raise PemError(f"{where}: column {TIME_COLUMN!r} must be finite")
+    names, sequence = np.unique(columns.texts("sequence"), return_inverse=True)
+    track = np.unique(
+        np.stack([sequence, columns.labels("track")], axis=1), axis=0, return_inverse=True
+    )[1].ravel()
+    check_not_twice(sequence, track, time_s, columns)
+    if len(columns):
+        measured = rates_of(time_s, sequence=sequence, track=track, names=names, where=where)
+        if rates is not None:
+            check_rates(rates, measured, names[sequence], where=where)
+        rates = measured
+    frame = _ranks(time_s, sequence)
+    if "frame" in columns.header:
+        frame = columns.numbers("frame")
+    return frame, np.empty(0) if rates is None else rates, time_s
+
+
+def _ranks(time_s: FloatArray, sequence: IntArray) -> FloatArray:
+    """Which of its sequence's moments each row is of ``[n]``, counted from 0."""
+    order = np.lexsort((time_s, sequence))
+    begins = np.append(True, np.diff(sequence[order]) != 0)[: len(order)]
+    later = np.append(False, np.diff(time_s[order]) > 0.0)[: len(order)] & ~begins
+    moment = np.cumsum(later)
+    lengths = np.diff(np.append(np.flatnonzero(begins), len(order)))
+    frame = np.empty(len(order))
+    frame[order] = moment - np.repeat(moment[begins], lengths)
+    return frame
 
 
 def _check(
-    path: Path, number: dict[str, FloatArray], rates: FloatArray, salient: FloatArray
+    path: Path,
+    *,
+    detected: FloatArray,
+    rates: FloatArray,
+    frame: FloatArray,
+    salient: FloatArray,
+    is_known: bool,
 ) -> None:
     if len(salient) == 0:
         raise PemError(f"{path}: the table has no rows")
-    if not np.isin(number[OUTCOME_COLUMN], (0.0, 1.0)).all():
+    if not np.isin(detected, (0.0, 1.0)).all():
         raise PemError(f"{path}: column {OUTCOME_COLUMN!r} must hold 0 or 1 only")
     if not ((rates > 0.0) & np.isfinite(rates)).all():
         raise PemError(f"{path}: column {RATE_COLUMN!r} must be above 0 and finite")
-    frame = number["frame"]
     if not ((frame >= 0.0) & (frame == np.floor(frame)) & (frame < 2.0**53)).all():
         raise PemError(f"{path}: column 'frame' must hold whole numbers from 0 on")
     try:
         check_rows(salient)
+        if is_known:
+            check_plausible(salient)
     except PemError as error:
         raise PemError(f"{path}: {error}") from None

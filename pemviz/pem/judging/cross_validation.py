@@ -162,13 +162,40 @@ def split_folds(table: SalientTable, *, folds: int) -> list[tuple[IntArray, IntA
         if not 2 <= folds <= sequences:
             raise PemError(f"folds is {folds}, allowed: 2 to {sequences} (sequences)")
         parts = list(GroupKFold(folds).split(table.salient, groups=sequence))
-        if any(np.unique(table.detected[part]).size == 1 for both in parts for part in both):
-            raise PemError(f"folds is {folds}: a fold of sequences lacks an outcome; give fewer")
+        if not _have_outcomes(table, parts):
+            raise PemError(_lacking_outcome(table, sequence, folds=folds))
         return parts
     rarer = int(min(table.detected.sum(), (~table.detected).sum()))
     if not 2 <= folds <= rarer:
         raise PemError(f"folds is {folds}, allowed: 2 to {rarer} (obstacles of the rarer outcome)")
     return list(StratifiedKFold(folds).split(table.salient, table.detected))
+
+
+def _have_outcomes(table: SalientTable, parts: Sequence[tuple[IntArray, IntArray]]) -> bool:
+    return all(np.unique(table.detected[part]).size > 1 for both in parts for part in both)
+
+
+def _lacking_outcome(table: SalientTable, sequence: IntArray, *, folds: int) -> str:
+    """What helps where a fold of sequences has one outcome alone."""
+    from sklearn.model_selection import GroupKFold  # noqa: PLC0415  slow to import
+
+    rarer = table.detected.mean() < 0.5
+    word = "detections" if rarer else "misses"
+    rows = table.detected == rarer
+    holding = int(np.unique(sequence[rows]).size)
+    about = f"folds is {folds}: a fold of sequences lacks an outcome"
+    fewer = (
+        fewer
+        for fewer in range(folds - 1, 1, -1)
+        if _have_outcomes(table, list(GroupKFold(fewer).split(table.salient, groups=sequence)))
+    )
+    if (works := next(fewer, None)) is not None:
+        return f"{about}; give {works}"
+    return (
+        f"{about}, and no number of folds helps: {holding} of {np.unique(sequence).size} sequences "
+        f"hold all {np.count_nonzero(rows)} {word}; collect more sequences with {word}, or fit "
+        "without scores and without memory (--folds 0)"
+    )
 
 
 def cross_validate(

@@ -335,7 +335,10 @@ def cross_fit(
             tracks.obstacles.check_outcomes()
             outcome = "missed" if tracks.detected[rest[0]] else "detected"
             where = f"lies in one of {folds} parts of the sequences"
-            raise PemError(f"all that was {outcome} {where}: there is nothing to fit the others to")
+            raise PemError(
+                f"all that was {outcome} {where}: there is nothing to fit the others to; collect "
+                f"more sequences in which something was {outcome}"
+            )
     obstacles = tracks.obstacles
     part = partial(fit_pem, model=model, seed=seed, calibrate=False)
     tasks = [_Task(part, obstacles, *rows) for rows in parts]

@@ -202,6 +202,12 @@ def check_rows(rows: FloatArray) -> None:
             raise PemError(f"salient row {row}: {name} is {values[row]:g}, allowed: {labels}")
 
 
+def known_codes(rows: FloatArray) -> BoolArray:
+    """Which of salient variables ``[n, 11]`` have a known class and occlusion level ``[n]``."""
+    kinds, levels = (np.arange(len(names)) for names in (CLASS_NAMES, OCCLUSION_NAMES))
+    return np.isin(rows[:, _KIND], kinds) & np.isin(rows[:, _OCCLUSION], levels)
+
+
 def check_finite(tensors: Mapping[str, AnyArray], *, where: str) -> None:
     """Refuse tensors with NaN or infinity.
 
