@@ -28,6 +28,7 @@ from pemviz.pem.model_files import (
 from pemviz.pem.models.cards import PemCard, memory_of
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.own_features import Feature, OwnFeatures, own_features_of
 from pemviz.pem.models.position_errors import NoiseMemory, PositionErrorModel, constant_errors
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
@@ -46,8 +47,10 @@ __all__ = [
     "SALIENT_COLUMNS",
     "DetectorModel",
     "EnsemblePem",
+    "Feature",
     "Memory",
     "NoiseMemory",
+    "OwnFeatures",
     "Pem",
     "PemCard",
     "PemEnsemble",
@@ -69,6 +72,7 @@ __all__ = [
     "load_position_errors",
     "load_table",
     "memory_of",
+    "own_features_of",
     "pem_interval",
     "reweight",
     "save_pem",

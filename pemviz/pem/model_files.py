@@ -27,16 +27,17 @@ from pemviz.files.shipped import asset_path
 from pemviz.pem.models.cards import Carded, PemCard, card_from_mapping, position_card_from_mapping
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.network import (
-    PAPER_INPUTS,
     Layer,
     NetworkPem,
     authors_pem,
+    input_names,
     is_authors_checkpoint,
 )
+from pemviz.pem.models.own_features import features_from_json
 from pemviz.pem.models.position_errors import ErrorAxis, NoiseMemory, PositionErrorModel
 from pemviz.pem.models.protocol import Pem, PemEnsemble, as_double
 from pemviz.pem.models.tabulated import TabulatedPem, load_csv
-from pemviz.pem.models.trees import FEATURES, TreesPem
+from pemviz.pem.models.trees import FEATURES, OWN, FeatureSet, OwnSet, TreesPem, seen_names
 
 ASSET_FOLDER = "pem"
 POSITION_ASSET_FOLDER = "position_errors"
@@ -283,7 +284,8 @@ class _Stored:
         raise PemError(f"{self.where}: unknown kind of model {self.kind!r}")
 
     def _network(self) -> NetworkPem:
-        self._check_inputs(PAPER_INPUTS)
+        own = features_from_json(self.options.get("features"), where=self.where)
+        self._check_inputs(input_names(own))
         count = sum(name.endswith(".weight") for name in self.tensors)
         names = {f"layers.{index}.{part}" for index in range(count) for part in ("weight", "bias")}
         _exactly(self.tensors, names | {"pose.mean", "pose.std"}, where=self.where)
@@ -292,13 +294,18 @@ class _Stored:
             Layer(weight=doubles[f"layers.{index}.weight"], bias=doubles[f"layers.{index}.bias"])
             for index in range(count)
         )
-        return NetworkPem(self.card, doubles["pose.mean"], doubles["pose.std"], layers)
+        return NetworkPem(self.card, doubles["pose.mean"], doubles["pose.std"], layers, own)
 
     def _trees(self) -> TreesPem:
-        feature_set: object = self.options.get("feature_set")
-        if feature_set not in tuple(FEATURES):  # a tuple, because a list has no hash
-            raise PemError(f"{self.where}: metadata option 'feature_set' is {feature_set!r}")
-        self._check_inputs(FEATURES[feature_set])
+        own = features_from_json(self.options.get("features"), where=self.where)
+        given: object = self.options.get("feature_set")
+        known: Mapping[object, FeatureSet | OwnSet] = {OWN: OWN}
+        if own is None:
+            known = {name: name for name in FEATURES}
+        feature_set = known.get(given) if isinstance(given, str) else None
+        if feature_set is None:
+            raise PemError(f"{self.where}: metadata option 'feature_set' is {given!r}")
+        self._check_inputs(seen_names(feature_set, own))
         parts = ("feature", "number", "left", "root")
         wanted = {*(f"trees.{part}" for part in parts), "calibration"}
         _exactly(self.tensors, wanted, where=self.where)
@@ -310,6 +317,7 @@ class _Stored:
             left=self.tensors["trees.left"],
             root=self.tensors["trees.root"],
             calibration=as_double(self.tensors["calibration"]),
+            own=own,
         )
 
     def _check_inputs(self, expected: tuple[str, ...]) -> None:

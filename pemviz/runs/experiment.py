@@ -19,6 +19,7 @@ from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import Refits
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs import back_ends
+from pemviz.runs.salient_names import check_salient_names, outside_training
 from pemviz.runs.specification import build_formula, build_problem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.description import MethodDescription
@@ -151,6 +152,7 @@ def build_experiment(
     config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
     back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     _check_hidden(config, back_end, hidden)
+    check_salient_names(named, back_end.simulator)
     memory, left_out = _memory(config, named, back_end)
     back_ends.check_method_fits(config, back_end, frailty=memory.frailty)
     ensemble = ensemble_of(config.pem) if pem is None else None
@@ -301,10 +303,12 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
                 f"{where}: logit is {of_whom[place]:.6g}, and {again[place]:.6g} when it is asked "
                 "again: must depend on the salient variables of its row alone"
             )
+    outside = tuple(outside_training(pem, salient))
     low, high = float(logit.min()), float(logit.max())
     if low < 0.0 or high > 1.0:
-        return ()
-    return (  # more often probabilities than P(detected) of 50 to 73 %
+        return outside
+    return (
+        *outside,  # more often probabilities than P(detected) of 50 to 73 %
         f"error model {pem.name}: every logit lies between {low:.3g} and {high:.3g}, as "
         f"probabilities do; taken as logits they mean that {expit(low):.0%} to {expit(high):.0%} "
         "are detected",

@@ -37,6 +37,8 @@ An error model of your detector, and a card that says what it rests on.
 Data
   --table FILE           of 'pemviz pem collect', or a table of your own
   --rate-hz 10           frames a second, where the table does not tell
+  --features a,b,c       columns of any table that P(missed) depends on: for a
+                         simulator of your own
 Model
   --model NAME           guess-mu, lr, ml-nn, b-nn as in the paper; gb-paper,
                          gb-raw: boosted trees
@@ -59,8 +61,8 @@ class FitArguments:
     """Train a perception error model; writes OUT.safetensors and its card (.md, .json)."""
 
     table: Path
-    """Training data: CSV of 'pemviz pem collect', or a folder with salient_inputs.txt and
-    salient_labels.txt."""
+    """Training data: a table of 'pemviz pem collect' or one of your own (.csv, .parquet, .arrow,
+    .feather), or a folder with salient_inputs.txt and salient_labels.txt."""
     out: Path
     """File to write, ending in .safetensors."""
     model: ModelKind = "ml-nn"
@@ -77,6 +79,11 @@ class FitArguments:
     columns sequence, frame and track; folds are then of sequences. Tells and writes what 'pemviz
     pem memory' does, into OUT-memory.md and .png, and tells and keeps in the card what 'pemviz pem
     check' does of the same folds."""
+    features: str = ""
+    """Columns that P(missed) depends on, between commas, such as distance,lux,rain, in place of a
+    road user's salient variables; beside them the table needs detected (0 or 1) alone. A column of
+    words is a category, one of codes too as name:category. The model is for a simulator of your own
+    that gives these as salient variables, in this order, and names them in salient_names."""
     rate_hz: float | None = None
     """With memory or position errors: frames a second, where the table has no column rate_hz
     (above 0)."""
@@ -107,7 +114,7 @@ def run(arguments: FitArguments) -> int:
         return _fit_position_errors(arguments)
     if arguments.memory:
         return _fit_with_memory(arguments)
-    table = load_table(arguments.table)
+    table = load_table(arguments.table, features=_features(arguments))
     name = arguments.name or arguments.out.stem
     provenance = Provenance(data=arguments.data or table.source, licence=arguments.licence)
     scores = _scores(table, arguments=arguments)
@@ -141,7 +148,7 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
-    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, features=_features(arguments))
     tell_doubts(tracks.doubts)
     source = tracks.obstacles.source
     provenance = Provenance(data=arguments.data or source, licence=arguments.licence)
@@ -194,6 +201,11 @@ def _fit_position_errors(arguments: FitArguments) -> int:
     return 0
 
 
+def _features(arguments: FitArguments) -> tuple[str, ...]:
+    given = arguments.features
+    return tuple(name.strip() for name in given.split(",")) if given else ()
+
+
 def _validate(arguments: FitArguments) -> None:
     check_out(arguments.out, ending=SUFFIX)
     check_seed(arguments.seed)
@@ -205,6 +217,8 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError("members: not with memory; fit them first, then memory into the same out")
     if arguments.position_errors and (arguments.memory or arguments.members):
         raise PemError("position_errors: not with memory or members; fit these in another run")
+    if arguments.features and arguments.position_errors:
+        raise PemError("features: not with position errors, which depend on distance and bearing")
     if arguments.tails != "auto" and not arguments.position_errors:
         raise PemError("tails: only with position errors")
     if arguments.memory and arguments.folds < 2:

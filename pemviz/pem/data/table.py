@@ -4,6 +4,7 @@ In a table of tracks obstacles are followed over time: who was seen when.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.text_files import read_numbers
 from pemviz.pem.data.columns import TABLE_SUFFIXES, Columns, read_columns, table_header
+from pemviz.pem.data.own_columns import bare_names, own_columns
 from pemviz.pem.data.timing import (
     GAP,
     check_not_logged_again,
@@ -25,6 +27,7 @@ from pemviz.pem.data.timing import (
     rates_of,
 )
 from pemviz.pem.data.units import check_plausible
+from pemviz.pem.models.own_features import OwnFeatures
 from pemviz.pem.models.protocol import SALIENT_COLUMNS, check_rows
 
 OUTCOME_COLUMN = "detected"
@@ -45,12 +48,14 @@ class SalientTable:
         detected: Outcomes ``[n]``.
         source: Where the table comes from, in words.
         sequence: Which sequence of video each is from ``[n]``; ``None``: obstacles stand alone.
+        features: What the salient variables ``[n, D]`` are, where they are not a road user's.
     """
 
     salient: FloatArray
     detected: BoolArray
     source: str
     sequence: IntArray | None = None
+    features: OwnFeatures | None = None
 
     def __len__(self) -> int:
         return len(self.detected)
@@ -75,20 +80,26 @@ class SalientTable:
     def take(self, rows: IntArray) -> "SalientTable":
         """The table of the given rows, in that order, repeats allowed."""
         sequence = None if self.sequence is None else self.sequence[rows]
-        return SalientTable(self.salient[rows], self.detected[rows], self.source, sequence)
+        return replace(
+            self, salient=self.salient[rows], detected=self.detected[rows], sequence=sequence
+        )
 
 
-def load_table(path: Path | str) -> SalientTable:
+def load_table(path: Path | str, *, features: Sequence[str] = ()) -> SalientTable:
     """Read a table: as ``pemviz pem collect`` writes it, or the authors' folder of two files.
 
-    A table is CSV, parquet or Arrow (.arrow, .feather).
+    A table is CSV, parquet or Arrow (.arrow, .feather). With ``features``, names of columns, it
+    needs these and ``detected`` alone.
 
     Raises:
         PemError: the file is missing or malformed; the message names file, line and column.
     """
     path = Path(path)
     if not is_folder(path) and path.suffix in TABLE_SUFFIXES and is_file(path):
-        return _table_of_columns(read_columns(path, *SALIENT_COLUMNS, OUTCOME_COLUMN))
+        needs = bare_names(features) if features else SALIENT_COLUMNS
+        return _table_of_columns(read_columns(path, *needs, OUTCOME_COLUMN), features)
+    if features:
+        raise PemError(f"{path}: with features a table must be a {', '.join(TABLE_SUFFIXES)} file")
     if is_folder(path):
         for name in (INPUTS_FILE, LABELS_FILE):
             if not is_file(path / name):
@@ -106,14 +117,18 @@ def load_table(path: Path | str) -> SalientTable:
     return _checked_table(path, salient, detected, sequence=None)
 
 
-def _table_of_columns(columns: Columns) -> SalientTable:
+def _table_of_columns(columns: Columns, features: Sequence[str]) -> SalientTable:
     """Rows of obstacles; where tracks are followed, none is there twice."""
-    salient = np.empty((len(columns), len(SALIENT_COLUMNS)))
-    for index, name in enumerate(SALIENT_COLUMNS):
-        salient[:, index] = columns.numbers(name)
+    own: OwnFeatures | None = None
+    if features:
+        salient, own = own_columns(columns, features)
+    else:
+        salient = np.empty((len(columns), len(SALIENT_COLUMNS)))
+        for index, name in enumerate(SALIENT_COLUMNS):
+            salient[:, index] = columns.numbers(name)
     detected = columns.numbers(OUTCOME_COLUMN)
     sequence = columns.labels("sequence") if {"sequence", "track"} <= set(columns.header) else None
-    table = _checked_table(columns.path, salient, detected, sequence=sequence)
+    table = _checked_table(columns.path, salient, detected, sequence=sequence, features=own)
     moment = next((name for name in (TIME_COLUMN, "frame") if name in columns.header), None)
     if sequence is not None and moment is not None:
         check_not_twice(sequence, columns.labels("track"), columns.numbers(moment), columns)
@@ -121,18 +136,28 @@ def _table_of_columns(columns: Columns) -> SalientTable:
 
 
 def _checked_table(
-    path: Path, salient: FloatArray, detected: FloatArray, *, sequence: IntArray | None
+    path: Path,
+    salient: FloatArray,
+    detected: FloatArray,
+    *,
+    sequence: IntArray | None,
+    features: OwnFeatures | None = None,
 ) -> SalientTable:
+    if features is None:
+        _check_salient(path, salient)
+    if not np.isin(detected, (0.0, 1.0)).all():
+        raise PemError(f"{path}: column {OUTCOME_COLUMN!r} must hold 0 or 1 only")
+    if len(detected) == 0:
+        raise PemError(f"{path}: the table has no rows")
+    return SalientTable(salient, detected == 1.0, path.stem, sequence, features)
+
+
+def _check_salient(path: Path, salient: FloatArray) -> None:
     try:
         check_rows(salient)
         check_plausible(salient)
     except PemError as error:
         raise PemError(f"{path}: {error}") from None
-    if not np.isin(detected, (0.0, 1.0)).all():
-        raise PemError(f"{path}: column {OUTCOME_COLUMN!r} must hold 0 or 1 only")
-    if len(detected) == 0:
-        raise PemError(f"{path}: the table has no rows")
-    return SalientTable(salient, detected == 1.0, source=path.stem, sequence=sequence)
 
 
 def save_table(table: SalientTable, path: Path) -> None:
@@ -153,7 +178,8 @@ class TrackTable:
         track: Which obstacle, ``[n]``, counted from 0 over all sequences.
         frame: ``[n]``, as labelled.
         rate_hz: Frames a second, ``[n]``.
-        has_state: Whether the salient variables are known; else they are all 0.
+        has_state: Whether the salient variables are a road user's; else they are all 0, or
+            features of one's own.
         time_s: Time stamps ``[n]`` [s] where there are some, comparable within a sequence.
         doubts: What looks wrong with it, but may be meant, in words.
     """
@@ -250,6 +276,7 @@ def track_table(
     source: str,
     has_state: bool = True,
     time_s: FloatArray | None = None,
+    features: OwnFeatures | None = None,
 ) -> TrackTable:
     """Observations ``[n]`` in any order as a table in order.
 
@@ -266,7 +293,7 @@ def track_table(
     order = np.lexsort((frame if time_s is None else time_s, one_track))
     ordered = of_sequence[order].astype(np.int64)
     table = TrackTable(
-        obstacles=SalientTable(salient[order], detected[order], source, sequence=ordered),
+        obstacles=SalientTable(salient[order], detected[order], source, ordered, features),
         sequence=ordered,
         track=one_track[order].astype(np.int64),
         frame=frame[order],
@@ -285,7 +312,11 @@ def track_table(
 
 
 def load_tracks(
-    path: Path | str, *, rate_hz: float | None = None, needs_state: bool = True
+    path: Path | str,
+    *,
+    rate_hz: float | None = None,
+    needs_state: bool = True,
+    features: Sequence[str] = (),
 ) -> TrackTable:
     """Read a table with sequence, track, frame or time_s, the salient columns and the outcome.
 
@@ -298,6 +329,7 @@ def load_tracks(
         rate_hz: frames a second where the table has neither a column ``rate_hz`` nor ``time_s``.
         needs_state: whether the salient columns must be there; else a table without any of them
             will do.
+        features: names of columns that are looked at in place of the salient ones.
 
     Raises:
         PemError: the file is missing or malformed, rows or frames are there again, or units cannot
@@ -309,11 +341,15 @@ def load_tracks(
     header = table_header(path)
     has_state = needs_state or any(name in header for name in SALIENT_COLUMNS)
     state = SALIENT_COLUMNS if has_state else ()
+    state, has_state = (bare_names(features), False) if features else (state, has_state)
     moment = () if TIME_COLUMN in header else ("frame",)
     columns = read_columns(path, "sequence", *moment, "track", OUTCOME_COLUMN, *state)
+    own: OwnFeatures | None = None
     salient = np.zeros((len(columns), len(SALIENT_COLUMNS)))
-    for index, name in enumerate(state):
-        salient[:, index] = columns.numbers(name)
+    if features:
+        salient, own = own_columns(columns, features)
+    elif has_state:
+        salient = np.stack([columns.numbers(name) for name in state], axis=1)
     detected = columns.numbers(OUTCOME_COLUMN)
     frame, rates, time_s = _moments(columns, rate_hz)
     _check(path, detected=detected, rates=rates, frame=frame, salient=salient, is_known=has_state)
@@ -327,9 +363,10 @@ def load_tracks(
         source=path.stem,
         has_state=has_state,
         time_s=time_s,
+        features=own,
     )
     repeated = check_not_logged_again(
-        table.obstacles.salient if has_state else None,
+        table.obstacles.salient if has_state or features else None,
         table.detected,
         follows=table.follows,
         frame=table.frame,
@@ -405,9 +442,5 @@ def _check(
         raise PemError(f"{path}: column {RATE_COLUMN!r} must be above 0 and finite")
     if not ((frame >= 0.0) & (frame == np.floor(frame)) & (frame < 2.0**53)).all():
         raise PemError(f"{path}: column 'frame' must hold whole numbers from 0 on")
-    try:
-        check_rows(salient)
-        if is_known:
-            check_plausible(salient)
-    except PemError as error:
-        raise PemError(f"{path}: {error}") from None
+    if is_known:
+        _check_salient(path, salient)

@@ -113,7 +113,7 @@ def _would_be(value: float, unit: str) -> str:
     kind = " m" if unit in IN_METRES else " rad" if unit in IN_RADIANS else ""
     return (
         f'in {WORDS[unit]} it would be {factor * value:.3g}{kind}: say unit = "{unit}" in the '
-        "mapping of a log, or convert it"
+        "mapping of a log, or convert it (what are no road users: pem fit --features)"
     )
 
 

@@ -11,7 +11,8 @@ from pemviz.pem.data.support import summarise_support
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.models.cards import KITTI_LICENCE, UNKNOWN_LICENCE, PemCard
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
-from pemviz.pem.models.trees import FeatureSet
+from pemviz.pem.models.own_features import OwnFeatures
+from pemviz.pem.models.trees import FEATURES, OWN, FeatureSet
 
 ModelKind = Literal["guess-mu", "lr", "ml-nn", "b-nn", "gb-paper", "gb-raw"]
 MODEL_KINDS: tuple[ModelKind, ...] = get_args(ModelKind)
@@ -19,6 +20,10 @@ MODEL_KINDS: tuple[ModelKind, ...] = get_args(ModelKind)
 Progress = Callable[[int, int], None]
 BOOSTED: dict[ModelKind, FeatureSet] = {"gb-paper": "paper", "gb-raw": "raw"}
 """What boosted trees see, by the name of their kind."""
+
+
+PAPER_WORDS, PAPER_LAYER = "the paper's 14 inputs", "Linear(14,"
+"""What recipes say of the inputs, where these are not features of one's own."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +129,7 @@ def _card(
         data_digest=table.digest,
         licence=given.licence,
         seed=seed,
-        support=summarise_support(table).to_json(),
+        support={} if table.features is not None else summarise_support(table).to_json(),
     )
 
 
@@ -138,32 +143,47 @@ def _fit(
     on_progress: Progress | None,
 ) -> SingleModel | EnsemblePem:
     table.check_outcomes()
+    own = table.features
+    if own is not None and model == "gb-paper":
+        raise PemError("model 'gb-paper' sees the paper's columns; with features use gb-raw")
     # torch, scikit-learn and pyro take seconds to import: each only for the models it fits.
     if model in ("ml-nn", "b-nn"):
         from pemviz.pem.fitting import networks  # noqa: PLC0415
 
         if model == "b-nn":
-            card = replace(card, recipe=networks.BAYES_RECIPE)
+            card = replace(card, recipe=_recipe(networks.BAYES_RECIPE, own))
             return networks.fit_bayes(table, card=card, seed=seed, on_progress=on_progress)
-        card = replace(card, recipe=networks.RECIPE)
+        card = replace(card, recipe=_recipe(networks.RECIPE, own))
         return networks.fit_network(table, card=card, seed=seed, on_progress=on_progress)
     if model in MODEL_KINDS:
         from pemviz.pem.fitting import linear_and_trees as fits  # noqa: PLC0415
 
         if model == "lr":
-            return fits.fit_logistic(table, card=replace(card, recipe=fits.LR_RECIPE))
+            return fits.fit_logistic(table, card=replace(card, recipe=_recipe(fits.LR_RECIPE, own)))
         if model == "guess-mu":
             return fits.fit_guess_mu(table, card=replace(card, recipe=fits.GUESS_MU_RECIPE))
         sees = BOOSTED[model]
         words = fits.trees_recipe(
-            sees, by_sequence=table.sequence is not None, calibrated=calibrate
+            FEATURES[sees] if own is None else own.input_names,
+            by_sequence=table.sequence is not None,
+            calibrated=calibrate,
         )
         return fits.fit_trees(
             table,
-            card=replace(card, recipe=words),
-            feature_set=sees,
+            card=replace(card, recipe=_recipe(words, own)),
+            feature_set=sees if own is None else OWN,
             seed=seed,
             calibrate=calibrate,
             on_progress=on_progress,
         )
     raise PemError(f"unknown model {model!r}, allowed: {', '.join(MODEL_KINDS)}")
+
+
+def _recipe(words: str, own: OwnFeatures | None) -> str:
+    """How a model was trained, and on which features of one's own."""
+    if own is None:
+        return words
+    on_own = words.replace(PAPER_WORDS, "the features").replace(
+        PAPER_LAYER, f"Linear({len(own.input_names)},"
+    )
+    return f"{on_own}; features: {own}"

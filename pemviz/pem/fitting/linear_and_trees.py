@@ -5,7 +5,7 @@ new data. Their slope and intercept are corrected by a logistic regression of th
 logits that cross-fitted trees gave for obstacles they had not seen (Platt 1999).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.data.table import SalientTable
 from pemviz.pem.models.cards import PemCard
-from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem, paper_inputs, pose_statistics
-from pemviz.pem.models.trees import FEATURES, LEAF, LEAF_UNIT, FeatureSet, TreesPem, tree_features
+from pemviz.pem.models.network import Layer, NetworkPem, input_names, inputs_of, statistics_of
+from pemviz.pem.models.own_features import OwnFeatures
+from pemviz.pem.models.trees import LEAF, LEAF_UNIT, FeatureSet, OwnSet, TreesPem, seen_features
 
 GUESS_MU_RECIPE = "the same probability for every obstacle: the share detected in training"
 LR_RECIPE = "scikit-learn LogisticRegression (L2, C = 1) on the paper's 14 inputs"
@@ -37,29 +38,30 @@ MOST_UNEVEN = 30
 def fit_guess_mu(table: SalientTable, *, card: PemCard) -> NetworkPem:
     """A model that answers with the training data's share of detected obstacles."""
     share = float(table.detected.mean())
-    pose_mean, pose_std = pose_statistics(table.salient)
+    pose_mean, pose_std = statistics_of(table.salient, table.features)
     layer = Layer(
-        weight=np.zeros((1, len(PAPER_INPUTS))), bias=np.asarray([np.log(share / (1.0 - share))])
+        weight=np.zeros((1, len(input_names(table.features)))),
+        bias=np.asarray([np.log(share / (1.0 - share))]),
     )
-    return NetworkPem(card, pose_mean, pose_std, (layer,))
+    return NetworkPem(card, pose_mean, pose_std, (layer,), table.features)
 
 
 def fit_logistic(table: SalientTable, *, card: PemCard) -> NetworkPem:
-    """Logistic regression on the paper's inputs."""
-    pose_mean, pose_std = pose_statistics(table.salient)
-    inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
+    """Logistic regression on the paper's inputs, or on features of one's own."""
+    pose_mean, pose_std = statistics_of(table.salient, table.features)
+    inputs = inputs_of(table.salient, table.features, pose_mean=pose_mean, pose_std=pose_std).T
     regression = LogisticRegression(max_iter=10_000).fit(inputs, table.detected)
     layer = Layer(
         weight=np.asarray(regression.coef_, dtype=np.float64),
         bias=np.asarray(regression.intercept_, dtype=np.float64),
     )
-    return NetworkPem(card, pose_mean, pose_std, (layer,))
+    return NetworkPem(card, pose_mean, pose_std, (layer,), table.features)
 
 
-def trees_recipe(feature_set: FeatureSet, *, by_sequence: bool, calibrated: bool) -> str:
-    """How trees are fitted, for the model card."""
+def trees_recipe(seen: Sequence[str], *, by_sequence: bool, calibrated: bool) -> str:
+    """How trees that see these features are fitted, for the model card."""
     boosted = (
-        f"scikit-learn HistGradientBoostingClassifier on {', '.join(FEATURES[feature_set])}; "
+        f"scikit-learn HistGradientBoostingClassifier on {', '.join(seen)}; "
         f"{ROUNDS} rounds, learning rate {LEARNING_RATE:g}, at most {LEAVES} leaves of at least "
         f"{LEAF_ROWS} obstacles, L2 penalty {RIDGE:g}"
     )
@@ -75,7 +77,7 @@ def fit_trees(
     table: SalientTable,
     *,
     card: PemCard,
-    feature_set: FeatureSet,
+    feature_set: FeatureSet | OwnSet,
     seed: int,
     calibrate: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
@@ -85,7 +87,7 @@ def fit_trees(
     Folds of the calibration are of sequences if the table has enough; ``on_progress`` is called
     with fits done and fits in all.
     """
-    features = tree_features(table.salient, feature_set=feature_set).T
+    features = seen_features(table.salient, feature_set=feature_set, own=table.features).T
     steps = CROSS_FITS + 1 if calibrate else 1
 
     def tell(done: int) -> None:
@@ -97,7 +99,9 @@ def fit_trees(
         calibration = _calibrate(features, table, seed=seed, tell=tell)
     booster = _boost(features, table.detected, seed=seed)
     tell(steps)
-    return _to_arrays(booster, card=card, feature_set=feature_set, calibration=calibration)
+    return _to_arrays(
+        booster, card=card, feature_set=feature_set, own=table.features, calibration=calibration
+    )
 
 
 def _boost(
@@ -173,7 +177,12 @@ def _folds(
 
 
 def _to_arrays(
-    booster: Any, *, card: PemCard, feature_set: FeatureSet, calibration: tuple[float, float]
+    booster: Any,
+    *,
+    card: PemCard,
+    feature_set: FeatureSet | OwnSet,
+    own: OwnFeatures | None,
+    calibration: tuple[float, float],
 ) -> TreesPem:
     """Take the trees out of scikit-learn, which has no public way to store them but pickle."""
     parts: list[dict[str, AnyArray]] = []
@@ -192,6 +201,7 @@ def _to_arrays(
         **joined,
         root=np.asarray(roots, dtype=np.int32),
         calibration=np.asarray([slope, intercept + slope * baseline]),
+        own=own,
     )
 
 

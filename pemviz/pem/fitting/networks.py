@@ -25,12 +25,11 @@ from pemviz.pem.data.table import SalientTable
 from pemviz.pem.models.cards import PemCard
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.network import (
-    PAPER_INPUTS,
     Layer,
     NetworkPem,
     fold_batch_norm,
-    paper_inputs,
-    pose_statistics,
+    inputs_of,
+    statistics_of,
 )
 
 Progress = Callable[[int, int], None]
@@ -61,7 +60,7 @@ BAYES_RECIPE = (
     "posterior draws kept"
 )
 
-_BAYES_SIZES = ((HIDDEN_UNITS, len(PAPER_INPUTS)), (HIDDEN_UNITS, HIDDEN_UNITS), (1, HIDDEN_UNITS))
+_BAYES_LAYERS = 3
 
 
 def fit_network(
@@ -72,11 +71,11 @@ def fit_network(
     Normalisation is fitted on the table alone; ``on_progress`` is called with epochs done and in
     all.
     """
-    pose_mean, pose_std = pose_statistics(table.salient)
+    pose_mean, pose_std = statistics_of(table.salient, table.features)
     inputs, outcomes = _as_tensors(table, pose_mean, pose_std)
     with single_thread(seed):
         network = nn.Sequential(
-            nn.Linear(len(PAPER_INPUTS), HIDDEN_UNITS),
+            nn.Linear(len(inputs.T), HIDDEN_UNITS),
             nn.BatchNorm1d(HIDDEN_UNITS),
             nn.ReLU(),
             nn.Linear(HIDDEN_UNITS, HIDDEN_UNITS),
@@ -91,13 +90,13 @@ def fit_network(
     }
     affine = {index: Layer(states[index]["weight"], states[index]["bias"]) for index in (0, 3, 6)}
     hidden = (fold_batch_norm(affine[index], states[index + 1]) for index in (0, 3))
-    return NetworkPem(card, pose_mean, pose_std, (*hidden, affine[6]))
+    return NetworkPem(card, pose_mean, pose_std, (*hidden, affine[6]), table.features)
 
 
 def _as_tensors(
     table: SalientTable, pose_mean: FloatArray, pose_std: FloatArray
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    inputs = paper_inputs(table.salient, pose_mean=pose_mean, pose_std=pose_std).T
+    inputs = inputs_of(table.salient, table.features, pose_mean=pose_mean, pose_std=pose_std).T
     return (
         torch.tensor(np.ascontiguousarray(inputs), dtype=torch.float32),
         torch.tensor(table.detected, dtype=torch.float32),
@@ -169,7 +168,7 @@ def fit_bayes(
         raise PemError(
             f"model 'b-nn' needs the package pyro-ppl (pip install 'pemviz[bnn]'): {error}"
         ) from None
-    pose_mean, pose_std = pose_statistics(table.salient)
+    pose_mean, pose_std = statistics_of(table.salient, table.features)
     inputs, outcomes = _as_tensors(table, pose_mean, pose_std)
     with single_thread(seed), pyro.get_param_store().scope():
         guide = _fit_guide(pyro, inputs, outcomes, on_progress=on_progress)
@@ -179,9 +178,9 @@ def fit_bayes(
     for draw in draws:
         layers = (
             Layer(weight=_double(draw[f"weight.{index}"]), bias=_double(draw[f"bias.{index}"]))
-            for index in range(len(_BAYES_SIZES))
+            for index in range(_BAYES_LAYERS)
         )
-        members.append(NetworkPem(card, pose_mean, pose_std, tuple(layers)))
+        members.append(NetworkPem(card, pose_mean, pose_std, tuple(layers), table.features))
     return EnsemblePem(card, tuple(members))
 
 
@@ -189,15 +188,16 @@ def _fit_guide(
     pyro: Any, inputs: torch.Tensor, outcomes: torch.Tensor, *, on_progress: Progress | None
 ) -> Any:
     """Maximise the evidence lower bound; gives the fitted guide."""
+    sizes = ((HIDDEN_UNITS, len(inputs.T)), (HIDDEN_UNITS, HIDDEN_UNITS), (1, HIDDEN_UNITS))
 
     def model(batch: torch.Tensor, observed: torch.Tensor | None = None) -> None:
         hidden = batch
-        for index, (outputs, width) in enumerate(_BAYES_SIZES):
+        for index, (outputs, width) in enumerate(sizes):
             standard = pyro.distributions.Normal(0.0, 1.0)
             weight = pyro.sample(f"weight.{index}", standard.expand([outputs, width]).to_event(2))
             bias = pyro.sample(f"bias.{index}", standard.expand([outputs]).to_event(1))
             hidden = hidden @ weight.T + bias
-            hidden = torch.relu(hidden) if index < len(_BAYES_SIZES) - 1 else hidden
+            hidden = torch.relu(hidden) if index < _BAYES_LAYERS - 1 else hidden
         with pyro.plate("obstacles", len(inputs), subsample_size=len(batch)):
             bernoulli = pyro.distributions.Bernoulli(logits=hidden[:, 0])
             pyro.sample("detected", bernoulli, obs=observed)

@@ -236,10 +236,7 @@ def cross_validate(
         scores.append(score(of_fold, table.detected[held_out]))
         fit_s += fold_s / folds
     bins = reliability(logit, table.detected)
-    class_id, z_m = table.salient[:, COLUMN["class_id"]], table.salient[:, COLUMN["z_m"]]
-    band = np.searchsorted(DISTANCE_EDGES_M, z_m, side="right")
-    classes = {name: class_id == index for index, name in enumerate(CLASS_NAMES)}
-    bands = {band_in_words(index): band == index for index in range(len(DISTANCE_EDGES_M) + 1)}
+    classes, bands = _groups(table)
 
     def scores_by(groups: Mapping[str, BoolArray]) -> dict[str, Scores]:
         return {
@@ -259,6 +256,17 @@ def cross_validate(
         fit_s=fit_s,
         logit=logit,
     )
+
+
+def _groups(table: SalientTable) -> tuple[dict[str, BoolArray], dict[str, BoolArray]]:
+    """Rows ``[n]`` of road users by class and by distance; none of features of one's own."""
+    if table.features is not None:
+        return {}, {}
+    class_id, z_m = table.salient[:, COLUMN["class_id"]], table.salient[:, COLUMN["z_m"]]
+    band = np.searchsorted(DISTANCE_EDGES_M, z_m, side="right")
+    classes = {name: class_id == index for index, name in enumerate(CLASS_NAMES)}
+    bands = {band_in_words(index): band == index for index in range(len(DISTANCE_EDGES_M) + 1)}
+    return classes, bands
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,6 +85,8 @@ class TrackQuantities:
     @cached_property
     def distance_m(self) -> FloatArray:
         """From the sensor ``[n]`` [m]."""
+        if not self.tracks.has_state:
+            return np.zeros(len(self.tracks))
         salient = self.tracks.obstacles.salient
         return np.hypot(salient[:, COLUMN["x_m"]], salient[:, COLUMN["z_m"]])
 

@@ -36,10 +36,16 @@ LIMITS = """\
 - Fitted once with the seed above and taken as it came, not chosen for the failure probability
   that it leads to. Fits that differ in the seed alone can put that probability orders of
   magnitude apart: quote it with the interval over an ensemble.
-- It answers everywhere, also where no training obstacle lies near; the support check tells where.
+- It answers everywhere, also where no training obstacle lies near; {nearness}.
 - {dependence}
 - Obstacles of one drive, and of one image, resemble each other: cross-validated scores over
-  obstacles are better than scores on a new drive would be.
+  obstacles are better than scores on a new drive would be.{counts}"""
+NEARNESS = "the support check tells where"
+NEARNESS_OF_RANGES = (
+    "a run tells where its scenario leaves the range of a feature,\n"
+    "  not where it leaves what features were seen together"
+)
+COUNTS = """
 - The file's metadata holds counts of training obstacles and misses by class, occlusion, place and
   distance, under the same terms as the model."""
 FLATTERY_IF = (
@@ -280,7 +286,11 @@ def card_markdown(card: PemCard, *, digest: str) -> str:
         ("Weights", f"SHA-256 `{digest}`"),
         *((f"Score: {name}", f"{value:.4f}") for name, value in card.scores.items()),
     ]
-    limits = LIMITS.format(dependence=REMEMBERED if card.memory else SINGLE_OBSTACLES)
+    limits = LIMITS.format(
+        nearness=NEARNESS if card.support else NEARNESS_OF_RANGES,
+        dependence=REMEMBERED if card.memory else SINGLE_OBSTACLES,
+        counts=COUNTS if card.support else "",
+    )
     head = _head(f"Perception error model `{card.name}`", rows)
     told = (memory_markdown(card.memory), check_markdown(card.check))
     parts = [head, *(part for part in told if part)]

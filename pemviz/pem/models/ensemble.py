@@ -10,8 +10,9 @@ from pemviz.arrays import AnyArray, FloatArray, log_sum_exp
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.cards import Carded, PemCard
-from pemviz.pem.models.network import NetworkPem
-from pemviz.pem.models.protocol import as_rows, tensors_digest
+from pemviz.pem.models.network import NetworkPem, sound_rows
+from pemviz.pem.models.own_features import OwnFeatures
+from pemviz.pem.models.protocol import tensors_digest
 from pemviz.pem.models.trees import TreesPem
 
 SingleModel = NetworkPem | TreesPem
@@ -42,9 +43,17 @@ class EnsemblePem(Carded):
             raise PemError(f"{self.card.name}: an ensemble's members must be of one kind")
 
     @property
+    def own(self) -> OwnFeatures | None:
+        """What its members see in place of a road user's salient variables."""
+        return self.members[0].own
+
+    @property
     def digest(self) -> str:
         """SHA-256 over the members' tensors."""
-        return tensors_digest(f"ensemble of {self.members[0].kind}", self.tensors())
+        about = f"ensemble of {self.members[0].kind}"
+        return tensors_digest(
+            about if self.own is None else f"{about}:{self.own.to_json()}", self.tensors()
+        )
 
     def tensors(self) -> dict[str, AnyArray]:
         """Everything that decides the answers, by the names used in files."""
@@ -60,8 +69,8 @@ class EnsemblePem(Carded):
         return {"member_kind": first.kind, **first.options()}
 
     def logit(self, salient: ArrayLike) -> FloatArray:
-        """Logit of the members' mean P(detected), shape [...], of salient variables [..., 11]."""
-        rows, shape = as_rows(salient)
+        """Logit of the members' mean P(detected), shape [...], of salient variables [..., D]."""
+        rows, shape = sound_rows(salient, self.own)
         logits = np.stack([member.logit(rows) for member in self.members], axis=1)
         return map_rows(mean_probability_logit, logits).reshape(shape)
 

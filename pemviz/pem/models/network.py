@@ -20,6 +20,7 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.chunks import map_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, Carded, PemCard
+from pemviz.pem.models.own_features import OwnFeatures
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
     COLUMN,
@@ -88,6 +89,43 @@ def pose_statistics(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mean, np.where(varies, std, 1.0)
 
 
+def statistics_of(rows: FloatArray, own: OwnFeatures | None) -> tuple[FloatArray, FloatArray]:
+    """Mean and deviation of what is normalised, of rows ``[n, D]``."""
+    return pose_statistics(rows) if own is None else own.statistics(rows)
+
+
+def inputs_of(
+    rows: FloatArray,
+    own: OwnFeatures | None,
+    *,
+    pose_mean: FloatArray,
+    pose_std: FloatArray,
+    multiple: int = 1,
+) -> FloatArray:
+    """Inputs ``[K, n]`` of rows ``[n, D]``: the paper's, or those of features of one's own."""
+    if own is None:
+        return paper_inputs(rows, pose_mean=pose_mean, pose_std=pose_std, multiple=multiple)
+    return own.inputs(rows, mean=pose_mean, std=pose_std, multiple=multiple)
+
+
+def input_names(own: OwnFeatures | None) -> tuple[str, ...]:
+    """What a network sees, in order."""
+    return PAPER_INPUTS if own is None else own.input_names
+
+
+def sound_rows(salient: ArrayLike, own: OwnFeatures | None) -> tuple[FloatArray, tuple[int, ...]]:
+    """Rows ``[n, D]`` of salient variables ``[..., D]``, and the leading shape.
+
+    Raises:
+        PemError: They are not such as the model was made for.
+    """
+    if own is not None:
+        return own.as_rows(salient)
+    rows, shape = as_rows(salient)
+    check_rows(rows)
+    return rows, shape
+
+
 @dataclass(frozen=True)
 class Layer:
     """An affine map."""
@@ -131,19 +169,23 @@ class NetworkPem(Carded):
     """Their standard deviations, shape [4]."""
     layers: tuple[Layer, ...]
     """Hidden layers, then the output layer."""
+    own: OwnFeatures | None = None
+    """What it sees in place of a road user's salient variables; the numbers among them are what is
+    normalised."""
 
     def __post_init__(self) -> None:
         check_finite(self.tensors(), where=self.card.name)
-        pose = (len(POSE_COLUMNS),)
+        pose = (len(POSE_COLUMNS) if self.own is None else len(self.own.numeric),)
         if self.pose_mean.shape != pose or self.pose_std.shape != pose:
             raise PemError(f"{self.card.name}: pose mean and deviation need shape {list(pose)}")
         if not (self.pose_std > 0.0).all():
             raise PemError(f"{self.card.name}: pose standard deviations must be above 0")
-        _check_layers(self.layers, where=self.card.name)
+        names = input_names(self.own)
+        _check_layers(self.layers, inputs=len(names), where=self.card.name)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             # a bound on |logit| for obstacles within FARTHEST of 0 in each pose variable
             reach = (FARTHEST + np.abs(self.pose_mean)) / self.pose_std
-            reach = np.concatenate([np.ones(_FIRST_POSE), reach])
+            reach = np.concatenate([np.ones(len(names) - len(reach)), reach])
             for layer in self.layers:
                 reach = np.abs(layer.weight) @ reach + np.abs(layer.bias)
         if not np.isfinite(reach[0]):
@@ -151,8 +193,9 @@ class NetworkPem(Carded):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the tensors."""
-        return tensors_digest(self.kind, self.tensors())
+        """SHA-256 of the tensors, and of features of one's own."""
+        about = self.kind if self.own is None else f"{self.kind}:{self.own.to_json()}"
+        return tensors_digest(about, self.tensors())
 
     def tensors(self) -> dict[str, AnyArray]:
         """Everything that decides the answers, by the names used in files."""
@@ -164,20 +207,22 @@ class NetworkPem(Carded):
 
     def options(self) -> dict[str, Any]:
         """What a file must say beside the tensors: the inputs in order."""
-        return {"inputs": list(PAPER_INPUTS)}
+        named = {"inputs": list(input_names(self.own))}
+        return named if self.own is None else {**named, "features": self.own.to_json()}
 
     def logit(self, salient: ArrayLike) -> FloatArray:
-        """Logit of P(detected), shape [...], of salient variables [..., 11]."""
-        rows, shape = as_rows(salient)
-        check_rows(rows)
+        """Logit of P(detected), shape [...], of salient variables [..., 11], or of its own."""
+        rows, shape = sound_rows(salient, self.own)
         return map_rows(self._answer, rows, padded=False).reshape(shape)
 
     def _answer(self, rows: FloatArray) -> FloatArray:
         pose = {"pose_mean": self.pose_mean, "pose_std": self.pose_std}
-        return forward(self.layers, paper_inputs(rows, **pose, multiple=MULTIPLE))[: len(rows)]
+        return forward(self.layers, inputs_of(rows, self.own, **pose, multiple=MULTIPLE))[
+            : len(rows)
+        ]
 
 
-def _check_layers(layers: Sequence[Layer], *, where: str) -> None:
+def _check_layers(layers: Sequence[Layer], *, inputs: int, where: str) -> None:
     if not layers:
         raise PemError(f"{where}: the network has no layers")
     for index, layer in enumerate(layers):
@@ -192,11 +237,10 @@ def _check_layers(layers: Sequence[Layer], *, where: str) -> None:
                 f"{where}: layer {index + 1} takes {after.weight.shape[1]} inputs, "
                 f"layer {index} gives {before.weight.shape[0]}"
             )
-    inputs, outputs = layers[0].weight.shape[1], layers[-1].weight.shape[0]
-    if inputs != len(PAPER_INPUTS) or outputs != 1:
+    given, outputs = layers[0].weight.shape[1], layers[-1].weight.shape[0]
+    if given != inputs or outputs != 1:
         raise PemError(
-            f"{where}: the network maps {inputs} inputs to {outputs}, "
-            f"it must map {len(PAPER_INPUTS)} to 1"
+            f"{where}: the network maps {given} inputs to {outputs}, it must map {inputs} to 1"
         )
 
 

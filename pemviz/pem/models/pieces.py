@@ -51,6 +51,8 @@ def logit_along(pem: DetectorModel, salient: ArrayLike) -> FloatArray:
     Raises:
         PemError: The rows are not ones that the model was made for.
     """
+    if isinstance(pem, EnsemblePem | NetworkPem) and pem.own is not None:
+        return pem.logit(np.asarray(salient))
     if type(pem) is EnsemblePem:
         rows, shape = as_rows(salient)
         return map_distinct(lambda distinct: _mean_along(pem, distinct), rows).reshape(shape)

@@ -6,7 +6,7 @@ given to it ready-made.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,16 +15,14 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.chunks import ROWS, distinct, map_distinct
 from pemviz.errors import PemError
 from pemviz.pem.models.cards import Carded, PemCard
-from pemviz.pem.models.protocol import (
-    COLUMN,
-    SALIENT_COLUMNS,
-    as_rows,
-    check_finite,
-    check_rows,
-    tensors_digest,
-)
+from pemviz.pem.models.network import sound_rows
+from pemviz.pem.models.own_features import OwnFeatures
+from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS, check_finite, tensors_digest
 
 FeatureSet = Literal["paper", "raw"]
+OwnSet = Literal["own"]
+"""What trees see of features of one's own."""
+OWN: Final[OwnSet] = "own"
 
 NEAREST_DEPTH_M = 0.5
 """Depth below which an obstacle's apparent size no longer grows."""
@@ -84,6 +82,24 @@ def tree_features(rows: FloatArray, *, feature_set: FeatureSet) -> FloatArray:
     return np.stack([named[name] for name in FEATURES[feature_set]])
 
 
+def seen_names(feature_set: FeatureSet | OwnSet, own: OwnFeatures | None) -> tuple[str, ...]:
+    """Names of what trees split on, in order."""
+    if own is not None:
+        return own.input_names
+    return () if feature_set == OWN else FEATURES[feature_set]
+
+
+def seen_features(
+    rows: FloatArray, *, feature_set: FeatureSet | OwnSet, own: OwnFeatures | None
+) -> FloatArray:
+    """What trees see ``[features, n]`` of rows ``[n, D]``."""
+    if own is not None:
+        count = len(own.numeric)
+        return own.inputs(rows, mean=np.zeros(count), std=np.ones(count))
+    assert feature_set != OWN  # noqa: S101  refused where a model is made
+    return tree_features(rows, feature_set=feature_set)
+
+
 @dataclass(frozen=True, eq=False)
 class TreesPem(Carded):
     """A sum of trees, mapped to the logit of P(detected) by a calibration line.
@@ -95,7 +111,7 @@ class TreesPem(Carded):
     kind: ClassVar[str] = "trees"
 
     card: PemCard
-    feature_set: FeatureSet
+    feature_set: FeatureSet | OwnSet
     feature: AnyArray
     """Per node, the index of the feature it splits on or LEAF; uint8, shape [nodes]."""
     number: FloatArray
@@ -106,6 +122,8 @@ class TreesPem(Carded):
     """First node of each tree; int32, shape [trees]."""
     calibration: FloatArray
     """Slope and intercept from the sum of leaves to the logit; shape [2]."""
+    own: OwnFeatures | None = None
+    """With the feature set ``own``: what they see in place of a road user's salient variables."""
 
     def __post_init__(self) -> None:
         check_finite(self.tensors(), where=self.card.name)
@@ -115,7 +133,13 @@ class TreesPem(Carded):
     @property
     def digest(self) -> str:
         """SHA-256 of the tensors and the feature set."""
-        return tensors_digest(f"{self.kind}:{self.feature_set}", self.tensors())
+        seen = self.feature_set if self.own is None else self.own.to_json()
+        return tensors_digest(f"{self.kind}:{seen}", self.tensors())
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Names of what its trees split on, in order."""
+        return seen_names(self.feature_set, self.own)
 
     def tensors(self) -> dict[str, AnyArray]:
         """Everything that decides the answers, by the names used in files."""
@@ -129,12 +153,12 @@ class TreesPem(Carded):
 
     def options(self) -> dict[str, Any]:
         """What a file must say beside the tensors: the inputs in order."""
-        return {"feature_set": self.feature_set, "inputs": list(FEATURES[self.feature_set])}
+        named = {"feature_set": self.feature_set, "inputs": list(self.seen)}
+        return named if self.own is None else {**named, "features": self.own.to_json()}
 
     def logit(self, salient: ArrayLike) -> FloatArray:
-        """Logit of P(detected), shape [...], of salient variables [..., 11]."""
-        rows, shape = as_rows(salient)
-        check_rows(rows)
+        """Logit of P(detected), shape [...], of salient variables [..., 11], or of its own."""
+        rows, shape = sound_rows(salient, self.own)
         sums = map_distinct(self._sums, rows)
         return (self.calibration[0] * sums + self.calibration[1]).reshape(shape)
 
@@ -145,7 +169,7 @@ class TreesPem(Carded):
         padded = np.zeros((-(-len(rows) // ROWS) * ROWS, rows.shape[1]))
         padded[: len(rows)] = rows
         chunks = [
-            tree_features(padded[start : start + ROWS], feature_set=self.feature_set)
+            seen_features(padded[start : start + ROWS], feature_set=self.feature_set, own=self.own)
             for start in range(0, len(padded), ROWS)
         ]
         features = np.concatenate(chunks, axis=1)[:, : len(rows)]
@@ -178,7 +202,7 @@ class TreesPem(Carded):
         return _Plan(
             thresholds=tuple(
                 np.unique(self.number[inner & (self.feature == index)])
-                for index in range(len(FEATURES[self.feature_set]))
+                for index in range(len(self.seen))
             ),
             is_leaf=self.feature == LEAF,
             feature=np.where(self.feature == LEAF, 0, self.feature).astype(np.int64),
@@ -234,7 +258,9 @@ def _check_trees(pem: TreesPem) -> None:
     Children must come after their parent, so that going down a tree ends.
     """
     where, nodes = pem.card.name, len(pem.feature)
-    if pem.feature_set not in FEATURES:
+    if (pem.feature_set == OWN) != (pem.own is not None):
+        raise PemError(f"{where}: feature set {pem.feature_set!r} does not go with its features")
+    if pem.own is None and pem.feature_set not in FEATURES:
         raise PemError(f"{where}: feature set {pem.feature_set!r}, allowed: {', '.join(FEATURES)}")
     one_axis = (pem.feature, pem.number, pem.left, pem.root)
     if any(array.ndim != 1 for array in one_axis) or pem.calibration.shape != (2,):
@@ -244,7 +270,7 @@ def _check_trees(pem: TreesPem) -> None:
     if pem.feature.dtype.kind != "u" or {pem.left.dtype.kind, pem.root.dtype.kind} != {"i"}:
         raise PemError(f"{where}: the trees' features and children must be integers")
     inner = pem.feature != LEAF
-    if (pem.feature[inner] >= len(FEATURES[pem.feature_set])).any():
+    if (pem.feature[inner] >= len(pem.seen)).any():
         raise PemError(f"{where}: a tree splits on an unknown feature")
     children = pem.left[inner].astype(np.int64)  # a narrower type would wrap around below
     if (children <= np.arange(nodes)[inner]).any() or (children >= nodes - 1).any():
