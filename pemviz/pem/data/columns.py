@@ -19,6 +19,8 @@ from pemviz.files.atomic import is_file
 from pemviz.files.text_files import open_text
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".arrow", ".feather")
+WHO_AND_WHEN = ("sequence", "track", "frame", "rate_hz", "time_s")
+"""Columns that are read beside those that are asked for."""
 BLOCK_BYTES = 1 << 23
 TICKS_A_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 SHOWN = 40
@@ -60,11 +62,21 @@ class Columns:
 
     def texts(self, name: str) -> NDArray[np.str_]:
         """A column as it is written ``[n]``; of a number what names it."""
-        return np.array([text_of(cell) for cell in self.table.column(name).to_pylist()], dtype=str)
+        names, place = self._distinct(name)
+        return names[place]
 
     def labels(self, name: str) -> IntArray:
         """What a column names ``[n]``, counted from 0 in the order of the names."""
-        return np.unique(self.texts(name), return_inverse=True)[1].astype(np.int64)
+        names, place = self._distinct(name)
+        return np.unique(names, return_inverse=True)[1].astype(np.int64)[place]
+
+    def _distinct(self, name: str) -> tuple[NDArray[np.str_], IntArray]:
+        """Texts that occur, and which of them each row has ``[n]``."""
+        encoded = self.table.column(name).dictionary_encode("encode").combine_chunks()
+        if not len(self):
+            return np.array([], dtype=str), np.array([], dtype=np.int64)
+        names = [text_of(cell) for cell in encoded.dictionary.to_pylist()]
+        return np.array(names, dtype=str), encoded.indices.to_numpy(zero_copy_only=False)
 
     def numbers(self, name: str, *, largest: float | None = None) -> FloatArray:
         """A column's numbers ``[n]``, none beyond the largest if there is one.
@@ -140,7 +152,7 @@ def read_columns(path: Path, *needs: str) -> Columns:
             has not as many cells as the header.
     """
     if path.suffix in TABLE_SUFFIXES[1:]:
-        columns = _binary_columns(path)
+        columns = _binary_columns(path, needs)
         check_needs(columns.header, needs, path)
         return columns
     header = table_header(path)
@@ -235,15 +247,19 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
                 yield number, [cell.strip() for cell in line.split(",")]
 
 
-def _binary_columns(path: Path) -> Columns:
-    table = _read_binary(path)
+def _binary_columns(path: Path, needs: Sequence[str]) -> Columns:
+    there = table_header(path)
+    wanted = [name for name in there if name in (*needs, *WHO_AND_WHEN)] if needs else None
+    table = _read_binary(path, wanted)
     header = tuple(table.column_names)
     if len(set(header)) < len(header):
         raise PemError(f"{path}: a column stands twice")
     return Columns(path, header, table, np.arange(1, len(table) + 1), is_text=False)
 
 
-def _read_binary(path: Path, *, header_alone: bool = False) -> Any:
+def _read_binary(
+    path: Path, wanted: Sequence[str] | None = None, *, header_alone: bool = False
+) -> Any:
     import pyarrow as pa  # noqa: PLC0415  slow to import
     from pyarrow import feather, parquet  # noqa: PLC0415
 
@@ -253,8 +269,8 @@ def _read_binary(path: Path, *, header_alone: bool = False) -> Any:
         if path.suffix == ".parquet":
             if header_alone:
                 return parquet.read_schema(path).empty_table()
-            return parquet.read_table(path)
-        return feather.read_table(path)
+            return parquet.read_table(path, columns=wanted)
+        return feather.read_table(path, columns=wanted)
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PemError(f"{path}: not a readable {path.suffix} file ({reason})") from None
