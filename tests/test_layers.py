@@ -35,6 +35,7 @@ ONLY_IN = {
     "pygame": {"simulators"},
     "dask": {"sweep"},
     "distributed": {"cluster", "sweep"},
+    "rosbags": {"pem"},
     "pyarrow": {"sweep", "export", "recording", "pem"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import cast, get_args
+from typing import Literal, cast, get_args
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
@@ -25,7 +25,9 @@ from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.recognise import CollectedFormat
+from pemviz.pem.data.rosbag import TIME_TOLERANCE_S, BagOptions, collect_rosbag
 
+CollectFormat = Literal[CollectedFormat, "rosbag"]
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
 
@@ -39,7 +41,8 @@ Files
                          tables, or of MOTChallenge's sequences
   --detections PATH      what the detector reported: a folder, or a json file
   --format NAME          kitti, yolo, coco; of sequences mot, ab3dmot, nuscenes,
-                         motchallenge; log: --mapping FILE.toml says its columns
+                         motchallenge; log: --mapping FILE.toml says its columns;
+                         rosbag: --labels-topic, --detections-topic
   --out FILE             the table [obstacles.csv]
 What counts
   --types Car            classes that are obstacles; --drop-unknown
@@ -68,19 +71,31 @@ class CollectArguments:
     motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
     """Table to write: CSV, with format log also .parquet."""
-    format: CollectedFormat = "kitti"
+    format: CollectFormat = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
     sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate; so does that of
     nuscenes: its detection task's results, matched by the distance of centres, with position
     errors. motchallenge: its ground truth and detections, without places in the world: a table for
-    pemviz pem memory --model guess-mu alone. log: a log of your own, matched already, whose
+    pemviz pem memory --model guess-mu alone. rosbag: two topics of rosbags of ROS 2 (.mcap, or a
+    folder), of vision_msgs' Detection3DArray or Detection2DArray, or of Autoware's
+    detected or tracked objects (needs pemviz[logs]). log: a log of your own, matched already, whose
     columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow (.arrow, .feather)."""
     mapping: Path | None = None
     """TOML that says where a log's columns are, and in which units;
     assets/mappings/nuscenes-cars.toml is one.
     --labels and --detections are then the log, one file or two side by side."""
+    labels_topic: str = ""
+    """With rosbag: the topic of reference boxes, by whose ids obstacles are followed."""
+    detections_topic: str = ""
+    """With rosbag: the topic of what the detector reported."""
+    ego_topic: str = ""
+    """With rosbag, where boxes are in a fixed frame such as map: where the ego is (nav_msgs'
+    Odometry, geometry_msgs' PoseStamped)."""
+    time_tolerance_s: float = TIME_TOLERANCE_S
+    """With rosbag: stamps of two messages that belong together differ by this at most (above 0)
+    [s]."""
     rate_hz: float = DEFAULT_HZ
     """Frames a second of sequences (above 0); nuScenes' tables and MOTChallenge's seqinfo.ini tell
     it themselves."""
@@ -89,7 +104,7 @@ class CollectArguments:
     iou_above: float = PAPER_IOU
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
     centres_below_m: float = MATCHED_BELOW_M
-    """With nuscenes: below this distance of centres in the ground plane (above 0) [m]."""
+    """With nuscenes, rosbag: below this distance of centres in the ground plane (above 0) [m]."""
     class_aware: bool = False
     """Count only detections of the obstacle's own class."""
     score_from: float | None = None
@@ -140,11 +155,43 @@ def run(arguments: CollectArguments) -> int:
     if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
         _check_sequences(arguments)
         unit = "sequences"
+    elif arguments.format == "rosbag":
+        return _rosbag(arguments, score_from)
     else:
         unit = "samples" if arguments.format == "nuscenes" else "frames"
     with progress_bar(unit) as on_progress:
         counts, words = _collected(arguments, options, on_progress)
     return _report(arguments.out, counts, words)
+
+
+def _rosbag(arguments: CollectArguments, score_from: float) -> int:
+    options = BagOptions(
+        labels_topic=arguments.labels_topic,
+        detections_topic=arguments.detections_topic,
+        ego_topic=arguments.ego_topic,
+        time_tolerance_s=arguments.time_tolerance_s,
+        centres_below_m=arguments.centres_below_m,
+        iou_above=arguments.iou_above,
+        types=arguments.types,
+        class_names=arguments.class_names,
+        score_from=score_from,
+    )
+    with progress_bar("bags") as on_progress:
+        bags = collect_rosbag(
+            labels=arguments.labels,
+            detections=arguments.detections,
+            out=arguments.out,
+            options=options,
+            on_progress=on_progress,
+        )
+    return _report(
+        arguments.out,
+        bags,
+        f"{bags.sequences} bags, {bags.moments} moments, {bags.tracks} tracks, {bags.observations} "
+        f"observations, {bags.missed} missed; left out: {bags.alone} moments without detections, "
+        f"{bags.other_types} of other classes, {bags.ignored_detections} detections of lower "
+        "score; truncation and occlusion, which such boxes do not say, are 0",
+    )
 
 
 def _report(out: Path, counts: CollectedCounts, words: str) -> int:
@@ -230,9 +277,17 @@ def _check_matching(arguments: CollectArguments) -> None:
     """
     if (arguments.format == "log") != (arguments.mapping is not None):
         raise PemError("mapping: must be given with format log, and with no other")
+    is_bag = arguments.format == "rosbag"
+    named = [arguments.labels_topic, arguments.detections_topic]
+    if is_bag and not all(named):
+        raise PemError("labels_topic, detections_topic: must be given with format rosbag")
+    if not is_bag and any((*named, arguments.ego_topic)):
+        raise PemError("labels_topic, detections_topic, ego_topic: only with format rosbag")
+    if not 0.0 < arguments.time_tolerance_s < math.inf:
+        raise PemError(f"time_tolerance_s is {arguments.time_tolerance_s:g}, allowed: above 0")
     is_nuscenes = arguments.format == "nuscenes"
-    if not is_nuscenes and arguments.centres_below_m != MATCHED_BELOW_M:
-        raise PemError("centres_below_m: only with format nuscenes; boxes are matched by overlap")
+    if not (is_nuscenes or is_bag) and arguments.centres_below_m != MATCHED_BELOW_M:
+        raise PemError("centres_below_m: only with nuscenes, rosbag; boxes are matched by overlap")
     if is_nuscenes and arguments.iou_above != PAPER_IOU:
         raise PemError("iou_above: not with format nuscenes, which centres_below_m matches")
     if is_nuscenes and arguments.rate_hz != DEFAULT_HZ:
