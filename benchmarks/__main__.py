@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from typing import Literal
 
 from rich.console import Console
@@ -17,7 +18,7 @@ from pemviz.cli.parsing import parse_arguments
 from pemviz.errors import EXIT_DONE
 
 PROGRAM = "python -m benchmarks"
-Part = Literal["paper", "plain", "simulators", "encounters", "stl", "recording", "scale"]
+Part = Literal["paper", "plain", "simulators", "encounters", "stl", "recording", "workers", "scale"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,8 @@ class BenchArguments:
     )
     """What to measure: the paper's experiment, plain rollouts (which loop this installation has),
     both back ends, those of the logical scenarios, the robustness metrics, size and cost of a
-    recording; scale (a few minutes) how time and memory grow."""
+    recording; workers (11 minutes) how slow rollouts are shared out; scale (a few minutes) how time
+    and memory grow."""
     json: bool = False
     """Print the figures as one JSON object and nothing else."""
 
@@ -159,30 +161,20 @@ def _external(words: Sequence[str]) -> int:
     return run_external(words, program=PROGRAM)
 
 
+MEASURES = {
+    "paper": "paper.paper_figures",
+    "plain": "plain_rollouts.plain_rollout_figures",
+    "simulators": "simulators.simulator_figures",
+    "encounters": "encounters.scenario_figures",
+    "stl": "stl.stl_figures",
+    "recording": "recording.recording_figures",
+    "workers": "slow_rollouts.slow_rollout_figures",
+}
+
+
 def _measure(part: Part) -> Callable[[], Sequence[Figure]]:
-    if part == "paper":
-        from benchmarks.paper import paper_figures  # noqa: PLC0415
-
-        return paper_figures
-    if part == "simulators":
-        from benchmarks.simulators import simulator_figures  # noqa: PLC0415
-
-        return simulator_figures
-    if part == "plain":
-        from benchmarks.plain_rollouts import plain_rollout_figures  # noqa: PLC0415
-
-        return plain_rollout_figures
-    if part == "encounters":
-        from benchmarks.encounters import scenario_figures  # noqa: PLC0415
-
-        return scenario_figures
-    if part == "recording":
-        from benchmarks.recording import recording_figures  # noqa: PLC0415  rerun is slow
-
-        return recording_figures
-    from benchmarks.stl import stl_figures  # noqa: PLC0415
-
-    return stl_figures
+    module, name = MEASURES[part].split(".")
+    return getattr(import_module(f"benchmarks.{module}"), name)  # only what is asked for
 
 
 if __name__ == "__main__":

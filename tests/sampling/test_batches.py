@@ -195,9 +195,7 @@ def test_slow_rollouts_are_handed_in_one_by_one(toy_problem):
 
     problem = replace(toy_problem, run_batches=PooledRunner(elsewhere, 4))
     assert_same_scores(sampled(problem), sampled(toy_problem))
-    assert sizes[:4] == [1] * 4
-    assert max(sizes) == 2
-    assert sum(sizes) == 37
+    assert sizes == [1] * 37
 
 
 def kill_first_child():

@@ -1,11 +1,13 @@
 """Batches of rollouts simulated by workers: cut into pieces, and whatever is lost done again."""
 
+import contextlib
 import itertools
+import math
 import statistics
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Future, wait
+from concurrent.futures import BrokenExecutor, Future, as_completed, wait
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -15,11 +17,16 @@ from pemviz.processes import DIED
 from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
-BATCHES_AHEAD = 1  # so that workers need not wait until a batch is scored
+AHEAD_S = 30.0
+"""Work that is handed in ahead, for each worker, so that none waits for the slowest of a batch."""
+MOST_AHEAD, SLOW_S = 20_000, 0.005
+"""Rollouts ahead at most, which wait until they are scored; and what one takes that is slow."""
 MOST_LOST = 3
 """Workers that were at a rollout."""
-PIECE_S = 5.0
-"""What a piece takes, where a rollout takes less: so that no worker waits for another for long."""
+REMEMBERED = 32
+"""Pieces whose times tell what the next will take."""
+PIECE_S = 0.5
+"""What a piece takes, if a rollout takes less: long beside handing it in, short beside a stage."""
 
 Timed = tuple[RolloutBatch, float]
 """Rollouts, and how long a worker took to simulate them [s]."""
@@ -52,7 +59,9 @@ class PooledRunner:
     renew: Callable[[], None] | None = None
     limit_s: float | None = None
     lost: int = field(default=0, init=False)
-    _rollout_s: float | None = field(default=None, init=False)
+    _took_s: deque[float] = field(
+        default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
+    )
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -67,7 +76,7 @@ class PooledRunner:
         try:
             for task in tasks:
                 ahead.append(self._pieces(simulator, pem, task))
-                if len(ahead) > BATCHES_AHEAD:
+                if len(ahead) > self._most_ahead(len(task.uniforms)):
                     yield _joined(ahead)
                     ahead.popleft()
             while ahead:
@@ -77,20 +86,40 @@ class PooledRunner:
             for piece in itertools.chain.from_iterable(ahead):
                 piece.future.cancel()
 
+    def _most_ahead(self, count: int) -> int:
+        """Batches of so many rollouts under way beside the one that is waited for."""
+        if self._rollout_s < SLOW_S:
+            return 1
+        batch_s = count * self._rollout_s / self.workers
+        return max(1, min(math.ceil(AHEAD_S / batch_s), MOST_AHEAD // count))
+
     def _pieces(self, simulator: Simulator, pem: Pem, task: BatchTask) -> "Sequence[_Piece]":
         """A batch that is handed in; of the first of all, one rollout a worker before the rest.
 
         These tell how long a rollout takes, and so how many make a piece.
         """
         pieces: list[_Piece] = []
-        if self._rollout_s is None and len(task.uniforms) > self.workers:
+        if not self._took_s and len(task.uniforms) > self.workers:
             alone, task = task.take(slice(self.workers)), task.take(slice(self.workers, None))
             pieces = [_Piece(self, simulator, pem, one) for one in alone.split(self.workers)]
-            wait([piece.future for piece in pieces], timeout=self.limit_s)
-            self._rollout_s = _median_s(pieces)
-        rollouts_s = (self._rollout_s or 0.0) * len(task.uniforms)
-        parts = task.split(max(self.workers, round(rollouts_s / PIECE_S)))
+            self._wait_for_half([piece.future for piece in pieces])
+        pieces_s = self._rollout_s * len(task.uniforms)
+        parts = task.split(max(self.workers, round(pieces_s / PIECE_S)))
         return [*pieces, *(_Piece(self, simulator, pem, one) for one in parts)]
+
+    @property
+    def _rollout_s(self) -> float:
+        """What a rollout takes: the median of late pieces, as first ones begin with imports."""
+        return statistics.median(self._took_s) if self._took_s else 0.0
+
+    def _wait_for_half(self, futures: Sequence[Future[Timed]]) -> None:
+        """For half of single rollouts, which may differ; the others go on."""
+        with contextlib.suppress(TimeoutError):
+            for future in as_completed(futures, timeout=self.limit_s):
+                if future.exception() is None:
+                    self._took_s.append(future.result()[1])
+                if 2 * len(self._took_s) >= len(futures):
+                    break
 
     def answer(self, future: Future[Timed]) -> RolloutBatch:
         """What a worker returns, once it does.
@@ -104,10 +133,12 @@ class PooledRunner:
             why = f"one rollout takes longer than step_time_limit_s = {self.limit_s:g}"
             self._replace(LostError(why), what="worker process stalls")
         try:
-            return future.result()[0]
+            rollouts, took_s = future.result()
         except BrokenExecutor as error:
             what, why = DIED.split(": ", 1)
             self._replace(LostError(why), what=what, cause=error)
+        self._took_s.append(took_s / rollouts.count)
+        return rollouts
 
     def _replace(
         self, lost: LostError, *, what: str, cause: BaseException | None = None
@@ -178,13 +209,6 @@ def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
                     if other is not piece:
                         other.hand_in_if_lost()
     return RolloutBatch.concatenate(parts)
-
-
-def _median_s(pieces: Sequence[_Piece]) -> float | None:
-    """What the single rollouts took that came back."""
-    back = [piece.future for piece in pieces if piece.future.done()]
-    took_s = [future.result()[1] for future in back if future.exception() is None]
-    return statistics.median(took_s) if took_s else None
 
 
 def _timed(simulator: Simulator, pem: Pem, task: BatchTask) -> Timed:
