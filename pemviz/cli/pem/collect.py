@@ -41,13 +41,13 @@ Files
                          tables, or of MOTChallenge's sequences
   --detections PATH      what the detector reported: a folder, or a json file
   --format NAME          kitti, yolo, coco; of sequences mot, ab3dmot, nuscenes,
-                         motchallenge; log: --mapping FILE.toml says its columns;
+                         motchallenge; log: --mapping FILE.toml has its columns;
                          rosbag: --labels-topic, --detections-topic
   --out FILE             the table [obstacles.csv]
 What counts
   --types Car            classes that are obstacles; --drop-unknown
   --iou-above 0.5        overlap of boxes that makes a detection [0.01]
-  --centres-below-m 2    distance that does, with nuscenes
+  --centres-below-m 2    distance that does, with nuscenes and rosbag
   --score-from X         detections of a lower score are ignored; --class-aware
   --rate-hz 10           frames a second of sequences
 Examples
