@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
 from pemviz.errors import PemError
+from pemviz.files.atomic import is_file
 from pemviz.files.text_files import open_text
 
 DEEPEST = 100
@@ -45,6 +46,23 @@ def parse_json(text: str, *, strict: bool = True) -> Any:
             for child in (item.values() if isinstance(item, dict) else item)
         ]
     raise ValueError(_TOO_DEEP)
+
+
+def read_json(path: Path) -> Any:
+    """The value that a file holds; numbers beyond float64 are passed on.
+
+    Raises:
+        PemError: It is not there, cannot be read, or is not JSON; one line says where.
+    """
+    if not is_file(path):
+        raise PemError(f"{path}: no such file")
+    try:
+        with open_text(path) as stream:
+            return parse_json(stream.read(), strict=False)
+    except json.JSONDecodeError as error:
+        raise PemError(f"{path}:{error.lineno}: column {error.colno}: {error.msg}") from None
+    except ValueError as error:
+        raise PemError(f"{path}: {error}") from None
 
 
 def _refuse(word: str) -> NoReturn:

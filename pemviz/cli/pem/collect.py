@@ -10,8 +10,9 @@ from typing import Literal, cast, get_args
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.checks import check_table_out, tell_doubts
+from pemviz.cli.pem.checks import check_rate_hz, check_table_out, tell_doubts
 from pemviz.errors import PemError
+from pemviz.pem.data.coco import collect_coco
 from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
     CollectedCounts,
@@ -20,6 +21,7 @@ from pemviz.pem.data.collect import (
     collect_tracks,
 )
 from pemviz.pem.data.detections import DetectionFormat, SequenceFormat
+from pemviz.pem.data.fiftyone import collect_fiftyone
 from pemviz.pem.data.mapped_log import collect_log
 from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
@@ -27,7 +29,7 @@ from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.recognise import CollectedFormat
 from pemviz.pem.data.rosbag import TIME_TOLERANCE_S, BagOptions, collect_rosbag
 
-CollectFormat = Literal[CollectedFormat, "rosbag"]
+CollectFormat = Literal[CollectedFormat, "rosbag", "fiftyone"]
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
 
@@ -65,7 +67,7 @@ class CollectArguments:
     labels: Path
     """Folder of KITTI label files: label_2, one per frame; or of tracking labels (label_02), one
     per sequence, with a format of sequences; of nuScenes' tables (v1.0-mini), or of
-    MOTChallenge's sequences (SEQUENCE/gt/gt.txt)."""
+    MOTChallenge's sequences (SEQUENCE/gt/gt.txt); or a file of COCO's ground truth."""
     detections: Path
     """Folder of text files, one per frame (kitti, yolo) or per sequence (mot, ab3dmot,
     motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
@@ -78,14 +80,21 @@ class CollectArguments:
     sides, score, 3D box). Tables of sequences keep sequence, frame, track and rate; so does that of
     nuscenes: its detection task's results, matched by the distance of centres, with position
     errors. motchallenge: its ground truth and detections, without places in the world: a table for
-    pemviz pem memory --model guess-mu alone. rosbag: two topics of rosbags of ROS 2 (.mcap, or a
-    folder), of vision_msgs' Detection3DArray or Detection2DArray, or of Autoware's
-    detected or tracked objects (needs pemviz[logs]). log: a log of your own, matched already, whose
-    columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow (.arrow, .feather)."""
+    pemviz pem memory --model guess-mu alone. coco with a file of COCO's ground truth as labels:
+    boxes in images, in tracks where annotations have a track_id, for pem memory --model guess-mu
+    and for pem fit --features; fiftyone likewise: two fields of a samples.json. rosbag: two topics
+    of rosbags of ROS 2 (.mcap, or a folder), of vision_msgs' Detection3DArray or Detection2DArray,
+    or of Autoware's detected or tracked objects (needs pemviz[logs]). log: a log of your own,
+    matched already, whose columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow
+    (.arrow, .feather)."""
     mapping: Path | None = None
     """TOML that says where a log's columns are, and in which units;
     assets/mappings/nuscenes-cars.toml is one.
     --labels and --detections are then the log, one file or two side by side."""
+    labels_field: str = ""
+    """With fiftyone: the field of labels."""
+    detections_field: str = ""
+    """With fiftyone: the field of what the detector reported."""
     labels_topic: str = ""
     """With rosbag: the topic of reference boxes, by whose ids obstacles are followed."""
     detections_topic: str = ""
@@ -155,6 +164,8 @@ def run(arguments: CollectArguments) -> int:
     if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
         _check_sequences(arguments)
         unit = "sequences"
+    elif _is_of_images(arguments):
+        return _images(arguments, options)
     elif arguments.format == "rosbag":
         return _rosbag(arguments, score_from)
     else:
@@ -162,6 +173,42 @@ def run(arguments: CollectArguments) -> int:
     with progress_bar(unit) as on_progress:
         counts, words = _collected(arguments, options, on_progress)
     return _report(arguments.out, counts, words)
+
+
+def _is_of_images(arguments: CollectArguments) -> bool:
+    """Whether labels are boxes in images, in a file of COCO's or FiftyOne's."""
+    return arguments.format == "fiftyone" or (
+        arguments.format == "coco" and arguments.labels.suffix == ".json"
+    )
+
+
+def _images(arguments: CollectArguments, options: CollectOptions) -> int:
+    check_rate_hz(arguments.rate_hz)
+    if arguments.format == "coco":
+        collect_from = partial(collect_coco, detections=arguments.detections)
+    else:
+        collect_from = partial(
+            collect_fiftyone,
+            labels_field=arguments.labels_field,
+            detections_field=arguments.detections_field,
+        )
+    with progress_bar("images") as on_progress:
+        counts = collect_from(
+            labels=arguments.labels,
+            out=arguments.out,
+            rate_hz=arguments.rate_hz,
+            types=arguments.types,
+            options=options,
+            on_progress=on_progress,
+        )
+    return _report(
+        arguments.out,
+        counts,
+        f"{counts.sequences} sequences, {counts.tracks} tracks, {counts.observations} boxes, "
+        f"{counts.missed} missed, {counts.gaps} gaps in tracks; left out: {counts.other_types} of "
+        f"other classes, {counts.dropped} crowds or samples without a field, "
+        f"{counts.ignored_detections} detections of lower score",
+    )
 
 
 def _rosbag(arguments: CollectArguments, score_from: float) -> int:
@@ -285,6 +332,9 @@ def _check_matching(arguments: CollectArguments) -> None:
         raise PemError("labels_topic, detections_topic, ego_topic: only with format rosbag")
     if not 0.0 < arguments.time_tolerance_s < math.inf:
         raise PemError(f"time_tolerance_s is {arguments.time_tolerance_s:g}, allowed: above 0")
+    fields = [arguments.labels_field, arguments.detections_field]
+    if (arguments.format == "fiftyone") != all(fields) or any(fields) != all(fields):
+        raise PemError("labels_field, detections_field: both with format fiftyone, and no other")
     is_nuscenes = arguments.format == "nuscenes"
     if not (is_nuscenes or is_bag) and arguments.centres_below_m != MATCHED_BELOW_M:
         raise PemError("centres_below_m: only with nuscenes, rosbag; boxes are matched by overlap")

@@ -7,7 +7,6 @@ length, x, y, z, rotation_y, alpha).
 """
 
 import csv
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import Any, Literal
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.files.json_text import parse_json
+from pemviz.files.json_text import read_json
 from pemviz.files.text_files import open_text
 from pemviz.pem.data.kitti_labels import (
     FARTHEST_PX,
@@ -182,15 +181,7 @@ def _read_sizes(path: Path | None) -> dict[str, tuple[float, float]]:
 def _open_coco(
     path: Path, *, class_names: Sequence[str], missing_is_empty: bool, on_bad: OnBadLine
 ) -> FrameDetections:
-    if not is_file(path):
-        raise PemError(f"{path}: no such file")
-    try:
-        with open_text(path) as stream:
-            content: Any = parse_json(stream.read(), strict=False)
-    except json.JSONDecodeError as error:
-        raise PemError(f"{path}:{error.lineno}: column {error.colno}: {error.msg}") from None
-    except ValueError as error:
-        raise PemError(f"{path}: {error}") from None
+    content = read_json(path)
     entries: Any = content.get("annotations") if isinstance(content, dict) else content
     if not isinstance(entries, list):
         raise PemError(f"{path}: need a list of results, or an object with 'annotations'")
@@ -200,7 +191,7 @@ def _open_coco(
     by_frame: dict[str, list[Detection]] = {frame: [] for frame in frames.values()}
     for index, entry in enumerate(entries):
         try:
-            image, category, found = _coco_entry(entry, where=f"{path}: entry {index}")
+            image, category, found = coco_entry(entry, where=f"{path}: entry {index}")
         except PemError as error:
             on_bad(error)
             continue
@@ -229,8 +220,12 @@ def _coco_names(
         raise PemError(f"{where}: an entry of {section!r} lacks 'id' or {key!r}") from None
 
 
-def _coco_entry(entry: Any, *, where: str) -> tuple[str, str, Detection]:
-    """Image id, category id and detection (its type left empty) of one entry."""
+def coco_entry(entry: Any, *, where: str) -> tuple[str, str, Detection]:
+    """Image id, category id and detection (its type left empty) of one entry.
+
+    Raises:
+        PemError: It is malformed; begins with ``where``.
+    """
     if not isinstance(entry, dict):
         raise PemError(f"{where}: not an object")
     for key in ("image_id", "category_id", "bbox"):

@@ -40,6 +40,7 @@ PAIRS: Mapping[tuple[str, str], FileFormat] = MappingProxyType(
         (KITTI, KITTI_RESULTS): "kitti",
         (KITTI, YOLO): "yolo",
         (KITTI, COCO): "coco",
+        (COCO, COCO): "coco",
         (TRACKING, MOT): "mot",
         (TRACKING, AB3DMOT): "ab3dmot",
         (NUSCENES, NUSCENES_RESULTS): "nuscenes",
