@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import tomli_w
 
-from pemviz.config import BLACK_BOXES, ExperimentConfig
+from pemviz.config import BLACK_BOXES, ExperimentConfig, ScenarioConfig
 from pemviz.config.encounters import LOGICAL_SCENARIOS, StartChoice
 from pemviz.config.ranges import did_you_mean
 from pemviz.config.records import read_record, read_value
@@ -146,7 +146,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
     Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
-    an hour where there are none, without a memory that is left out or not assumed, without
+    an hour where there are none, without the braking scenario where it is another that is run and
+    nothing of it was changed, without a memory that is left out or not assumed, without
     ``measured_memory`` where it is looked at, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
@@ -161,10 +162,12 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
         del table["scenario"]["tracker"]
     if not config.is_encounter:
         del table["encounter"]
-    elif config.scenario.tracker == NO_TRACKER:
+    if config.is_encounter and config.scenario.tracker == NO_TRACKER:
         del table["scenario"]
-    else:
+    elif config.is_encounter:
         table["scenario"] = {"tracker": config.scenario.tracker}
+    elif not config.is_braking_scenario and config.scenario == ScenarioConfig():
+        del table["scenario"]
     if config.keep == "all":
         del table["keep"]
     is_used = config.simulator == "sumo" and not config.is_braking_scenario

@@ -2,14 +2,14 @@
 
 A table has a row for each state: CSV for people, Parquet for programs. Columns: which rollout it is
 (``run_id`` to ``violated``, and ``broken.NAME`` for each rule), the same in all rows, so that
-tables of several rollouts can be put below each other; ``step``; ``time_s`` of the shipped scenario
-(a run folder does not tell the time step of other simulators); each signal under its key; the
-outcome at that step, ``detected``, with its log likelihoods ``log_p`` under the error model and
-``log_q`` under what it was sampled from [nats]. Of several slots each has these three,
-``detected.NAME``. Of a scenario with latents each one, ``latents.start.0``, and the mean that it
-was sampled with, ``latents.start_mean.0``; those at the start are the same in all rows; of noise
-also how likely it was to be moved, ``latents.noise_share``, and its spread then. At the last state
-perception does not act: what belongs to a step is empty there.
+tables of several rollouts can be put below each other; ``step``; ``time_s`` of the shipped braking
+scenario and of simulators of the user's own; each signal under its key; the outcome at that step,
+``detected``, with its log likelihoods ``log_p`` under the error model and ``log_q`` under what it
+was sampled from [nats]. Of several slots each has these three, ``detected.NAME``. Of a scenario
+with latents each one, ``latents.start.0``, and the mean that it was sampled with,
+``latents.start_mean.0``; those at the start are the same in all rows; of noise also how likely it
+was to be moved, ``latents.noise_share``, and its spread then. At the last state perception does not
+act: what belongs to a step is empty there.
 """
 
 import csv
@@ -50,8 +50,9 @@ def columns(rollout: RankedRollout) -> dict[str, list[Any]]:
     }
     table: dict[str, list[Any]] = {name: [value] * states for name, value in same.items()}
     table["step"] = list(range(states))
-    if rollout.scenario is not None:
-        table["time_s"] = (np.arange(states) * rollout.scenario.dt_s).tolist()
+    timed = rollout.scenario or rollout.result.simulator
+    if timed is not None:
+        table["time_s"] = (np.arange(states) * timed.dt_s).tolist()
     table |= {name: values.tolist() for name, values in rollout.signals.items()}
     for slot in rollout.detected:
         for name in PER_OUTCOME:

@@ -28,7 +28,7 @@ from pemviz.reports.estimate_words import number_text, share_text
 from pemviz.reports.gate import GateDecision, GateOutcome
 from pemviz.runs.answers import answers
 from pemviz.runs.ranking import LEAST_ROBUST
-from pemviz.runs.result import RunMemory, RunResult
+from pemviz.runs.result import OwnSystem, RunMemory, RunResult
 from pemviz.runs.uncertainty import (
     data_warnings,
     run_diagnostics,
@@ -459,6 +459,7 @@ def _provenance(result: RunResult) -> Section:
     rows: list[tuple[str, str]] = [
         ("run", doc.Verbatim(result.run_id)),
         ("status", status),
+        *_own_system_rows(result.simulator),
         ("perception error model", doc.Verbatim(result.pem.name)),
         ("its data", result.pem.data),
         ("its digest (SHA-256)", doc.Verbatim(result.pem.digest)),
@@ -471,6 +472,16 @@ def _provenance(result: RunResult) -> Section:
         kept += "learning stages whole, large ones in part"
         rows.append(("rollouts in its files", kept))
     return Section("provenance", "Provenance", (), (doc.facts(rows),))
+
+
+def _own_system_rows(simulator: OwnSystem | None) -> list[tuple[str, str]]:
+    if simulator is None:
+        return []
+    name, digest = simulator.name, simulator.source_digest
+    steps = f"{simulator.states} states, one each {simulator.dt_s:.4g} s"
+    package = "" if simulator.package is None else f" of {simulator.package}"
+    rows = [("simulator", f"{name}: {steps}"), ("its code", f"{simulator.code}{package}")]
+    return [*rows, ("its file's digest (SHA-256)", doc.Verbatim(digest))] if digest else rows
 
 
 def _assumptions(result: RunResult) -> Section:

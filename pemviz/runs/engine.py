@@ -22,6 +22,7 @@ from pemviz.runs.interpretation import (
     interpret_repetition,
     refits_of,
 )
+from pemviz.runs.own_code import own_system
 from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
 from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
@@ -346,6 +347,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         config=experiment.config,
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
+        simulator=own_system(experiment),
         memory=memory_of(pem),
         latents=latent_counts(experiment.problem.simulator) or None,
         position_errors=None

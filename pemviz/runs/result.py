@@ -40,6 +40,23 @@ class PemInfo:
 
 
 @dataclass(frozen=True)
+class OwnSystem:
+    """A simulator of the user's own, and by which code it is."""
+
+    name: str
+    states: int
+    """States in a rollout (T)."""
+    dt_s: AtLeastZero
+    """Time step [s]."""
+    code: str
+    """The class, with its module."""
+    package: str | None = None
+    """Which brings it, and its version; of a script none."""
+    source_digest: str | None = None
+    """SHA-256 of the file that the class stands in."""
+
+
+@dataclass(frozen=True)
 class MeasuredTau:
     """A memory time measured on video [s], with its interval, and the frailty fitted beside it.
 
@@ -251,6 +268,7 @@ class RunResult(ShownInNotebooks):
         config: The configuration.
         pem: The perception error model.
         versions: Of pemviz and of what the figures may depend on, by package.
+        simulator: The user's own, if it is none that is shipped; ``None`` in older results too.
         assumptions: What the answer takes for granted, in words.
         estimate: The answer; of several repetitions, their mean.
         repetitions: The estimate of each repetition that is done.
@@ -298,6 +316,7 @@ class RunResult(ShownInNotebooks):
     memory: RunMemory | None = None
     latents: LatentCounts | None = None
     position_errors: PemInfo | None = None
+    simulator: OwnSystem | None = None
     driven: DrivenDistance | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None

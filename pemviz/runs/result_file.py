@@ -151,6 +151,7 @@ def result_document(result: RunResult) -> Table:
         "message": result.message,
         "seed": result.config.seed,
         "versions": dict(result.versions),
+        **_unless_empty(simulator=result.simulator),
         "config": config_table(result.config),
         "pem": result.pem,
         "estimate": (

@@ -71,7 +71,7 @@ def test_one_line_and_exit_code_2(damaged, capsys, words):
 
 def test_a_result_that_cannot_be_written_is_told_before_and_after(damaged, capsys, monkeypatch):
     table = "z.csv"
-    monkeypatch.setattr("pemviz.cli.pem.fit.load_table", lambda path: _table())
+    monkeypatch.setattr("pemviz.cli.pem.fit.load_table", lambda path, features: _table())
     words = f"pem fit --table {table} --model guess-mu --folds 0 --out {'y' * 240}.safetensors"
     assert main(words.split()) == 2
     assert "cannot be written" in capsys.readouterr().err

@@ -79,6 +79,7 @@ def fault(tmp_path, monkeypatch):
         "[pemviz.simulators]\nfaulty = third_party_faults:build\n"
     )
     monkeypatch.syspath_prepend(home)
+    monkeypatch.setattr("pemviz.sampling.rollouts.pooled.PIECE_S", 1e9)  # in pieces above 10
     monkeypatch.setenv("PYTHONPATH", f"{home}:{ROOT}")  # for worker processes
     importlib.invalidate_caches()
     yield home / "fault.txt"

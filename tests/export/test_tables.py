@@ -60,7 +60,8 @@ def test_a_table_of_ones_own_simulator_holds_signals_rules_and_every_slot(slots_
     rows = read_csv(csv_bytes(rollout))
     table = parquet.read_table(io.BytesIO(parquet_bytes(rollout)))
     assert table.column_names == list(rows[0])
-    assert "time_s" not in rows[0]
+    step_s = pemviz.read_result(slots_run).simulator.dt_s
+    assert table["time_s"].to_pylist() == [step * step_s for step in range(len(rows))]
     for name in ("speed_m", "gap_m"):
         assert [float(one[name]) for one in rows] == rollouts[name][row].tolist()
         assert table[name].to_pylist() == rollouts[name][row].tolist()

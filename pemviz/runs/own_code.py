@@ -1,0 +1,52 @@
+"""Which code of the user's own a result rests on."""
+
+import inspect
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pemviz.files.atomic import file_digest
+from pemviz.runs.experiment import Experiment
+from pemviz.runs.result import OwnSystem
+
+WITHIN = ("scenario", "example", "environment")
+"""Where what wraps a system has it."""
+
+
+def own_system(experiment: Experiment) -> OwnSystem | None:
+    """What a simulator of the user's own is and where it comes from; ``None``: it is shipped."""
+    if not experiment.is_own_system:
+        return None
+    declared, part = experiment.declared, innermost(experiment.declared)
+    kind = type(part)
+    source = _source_file(kind)
+    package = _package(kind.__module__) if source and "site-packages" in source.parts else None
+    return OwnSystem(
+        name=declared.name,
+        states=declared.states,
+        dt_s=float(declared.dt_s),
+        code=f"{kind.__module__}.{kind.__qualname__}",
+        package=package,
+        source_digest=None if source is None else file_digest(source),
+    )
+
+
+def innermost(simulator: Any) -> Any:
+    """What others' code there is beneath adapters and wrappers."""
+    part = getattr(simulator, "unwrapped", simulator)
+    inner = next((one for name in WITHIN if (one := getattr(part, name, None)) is not None), None)
+    return part if inner is None else innermost(inner)
+
+
+def _source_file(kind: type) -> Path | None:
+    try:
+        found = inspect.getsourcefile(kind)
+    except (TypeError, OSError):  # of an interactive session, or compiled
+        return None
+    return Path(found) if found is not None and Path(found).is_file() else None
+
+
+def _package(module: str) -> str | None:
+    """Name and version of the package that brings a module."""
+    names = metadata.packages_distributions().get(module.split(".", maxsplit=1)[0], ())
+    return next((f"{name} {metadata.version(name)}" for name in names), None)
