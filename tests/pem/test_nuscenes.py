@@ -286,7 +286,7 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, capsys, file, old, new, wor
         (["--rate-hz", "5"], "rate_hz: not with format nuscenes"),
         (["--centres-below-m", "0"], "centres_below_m is 0, allowed: above 0"),
         (["--types", "Van"], "'Van' is no class of nuScenes' here, allowed: Car, Truck"),
-        (["--format", "kitti", "--centres-below-m", "1"], "only with nuscenes, rosbag"),
+        (["--format", "kitti", "--centres-below-m", "1"], "only with nuscenes, rosbag, argoverse"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, capsys, options, words) -> None:

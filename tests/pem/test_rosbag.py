@@ -162,7 +162,7 @@ def test_from_a_bag_to_an_error_model(tmp_path, capsys):
     words = ["--labels", str(bag), "--detections", str(bag), "--format", "rosbag"]
     words += ["--labels-topic", "/truth", "--detections-topic", "/found", "--out", str(table)]
     assert main(["pem", "collect", *words]) == 0
-    assert "1 bags, 40 moments, 3 tracks, 120 observations, 30 missed" in capsys.readouterr().out
+    assert "1 logs, 40 moments, 3 tracks, 120 observations, 30 missed" in capsys.readouterr().out
     fit = ["--table", str(table), "--model", "lr", "--folds", "0", "--out", str(out)]
     assert main(["pem", "fit", *fit]) == 0
 

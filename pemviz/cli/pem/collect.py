@@ -12,6 +12,7 @@ from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
 from pemviz.cli.pem.checks import check_rate_hz, check_table_out, tell_doubts
 from pemviz.errors import PemError
+from pemviz.pem.data.argoverse import collect_argoverse
 from pemviz.pem.data.coco import collect_coco
 from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
@@ -27,9 +28,10 @@ from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.recognise import CollectedFormat
-from pemviz.pem.data.rosbag import TIME_TOLERANCE_S, BagOptions, collect_rosbag
+from pemviz.pem.data.rosbag import BagOptions, collect_rosbag
+from pemviz.pem.data.timed_boxes import TIME_TOLERANCE_S, MatchOptions
 
-CollectFormat = Literal[CollectedFormat, "rosbag", "fiftyone"]
+CollectFormat = Literal[CollectedFormat, "argoverse", "rosbag", "fiftyone"]
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
 
@@ -82,8 +84,8 @@ class CollectArguments:
     errors. motchallenge: its ground truth and detections, without places in the world: a table for
     pemviz pem memory --model guess-mu alone. coco with a file of COCO's ground truth as labels:
     boxes in images, in tracks where annotations have a track_id, for pem memory --model guess-mu
-    and for pem fit --features; fiftyone likewise: two fields of a samples.json. rosbag: two topics
-    of rosbags of ROS 2 (.mcap, or a folder), of vision_msgs' Detection3DArray or Detection2DArray,
+    and for pem fit --features; fiftyone likewise: two fields of a samples.json. argoverse:
+    Argoverse 2's annotations and a file of detections (feather). rosbag: two topics of rosbags of ROS 2 (.mcap, or a folder), of vision_msgs' Detection3DArray or Detection2DArray,
     or of Autoware's detected or tracked objects (needs pemviz[logs]). log: a log of your own,
     matched already, whose columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow
     (.arrow, .feather)."""
@@ -113,7 +115,8 @@ class CollectArguments:
     iou_above: float = PAPER_IOU
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
     centres_below_m: float = MATCHED_BELOW_M
-    """With nuscenes, rosbag: below this distance of centres in the ground plane (above 0) [m]."""
+    """With nuscenes, rosbag, argoverse: below this distance of centres in the ground plane (above
+    0) [m]."""
     class_aware: bool = False
     """Count only detections of the obstacle's own class."""
     score_from: float | None = None
@@ -166,8 +169,8 @@ def run(arguments: CollectArguments) -> int:
         unit = "sequences"
     elif _is_of_images(arguments):
         return _images(arguments, options)
-    elif arguments.format == "rosbag":
-        return _rosbag(arguments, score_from)
+    elif arguments.format in ("rosbag", "argoverse"):
+        return _timed_boxes(arguments, score_from)
     else:
         unit = "samples" if arguments.format == "nuscenes" else "frames"
     with progress_bar(unit) as on_progress:
@@ -211,11 +214,8 @@ def _images(arguments: CollectArguments, options: CollectOptions) -> int:
     )
 
 
-def _rosbag(arguments: CollectArguments, score_from: float) -> int:
-    options = BagOptions(
-        labels_topic=arguments.labels_topic,
-        detections_topic=arguments.detections_topic,
-        ego_topic=arguments.ego_topic,
+def _timed_boxes(arguments: CollectArguments, score_from: float) -> int:
+    options = MatchOptions(
         time_tolerance_s=arguments.time_tolerance_s,
         centres_below_m=arguments.centres_below_m,
         iou_above=arguments.iou_above,
@@ -223,21 +223,26 @@ def _rosbag(arguments: CollectArguments, score_from: float) -> int:
         class_names=arguments.class_names,
         score_from=score_from,
     )
-    with progress_bar("bags") as on_progress:
-        bags = collect_rosbag(
-            labels=arguments.labels,
-            detections=arguments.detections,
-            out=arguments.out,
-            options=options,
-            on_progress=on_progress,
-        )
+    paths = {"labels": arguments.labels, "detections": arguments.detections, "out": arguments.out}
+    with progress_bar("logs") as on_progress:
+        if arguments.format == "argoverse":
+            counts = collect_argoverse(**paths, options=options, on_progress=on_progress)
+        else:
+            topics = BagOptions(
+                labels_topic=arguments.labels_topic,
+                detections_topic=arguments.detections_topic,
+                ego_topic=arguments.ego_topic,
+                **vars(options),
+            )
+            counts = collect_rosbag(**paths, options=topics, on_progress=on_progress)
     return _report(
         arguments.out,
-        bags,
-        f"{bags.sequences} bags, {bags.moments} moments, {bags.tracks} tracks, {bags.observations} "
-        f"observations, {bags.missed} missed; left out: {bags.alone} moments without detections, "
-        f"{bags.other_types} of other classes, {bags.ignored_detections} detections of lower "
-        "score; truncation and occlusion, which such boxes do not say, are 0",
+        counts,
+        f"{counts.sequences} logs, {counts.moments} moments, {counts.tracks} tracks, "
+        f"{counts.observations} observations, {counts.missed} missed; left out: {counts.alone} "
+        f"moments without detections, {counts.other_types} of other classes, {counts.dropped} "
+        f"without a point of lidar, {counts.ignored_detections} detections of lower score; "
+        "truncation and occlusion, which such boxes do not say, are 0",
     )
 
 
@@ -336,8 +341,11 @@ def _check_matching(arguments: CollectArguments) -> None:
     if (arguments.format == "fiftyone") != all(fields) or any(fields) != all(fields):
         raise PemError("labels_field, detections_field: both with format fiftyone, and no other")
     is_nuscenes = arguments.format == "nuscenes"
-    if not (is_nuscenes or is_bag) and arguments.centres_below_m != MATCHED_BELOW_M:
-        raise PemError("centres_below_m: only with nuscenes, rosbag; boxes are matched by overlap")
+    is_apart = is_nuscenes or is_bag or arguments.format == "argoverse"
+    if not is_apart and arguments.centres_below_m != MATCHED_BELOW_M:
+        raise PemError(
+            "centres_below_m: only with nuscenes, rosbag, argoverse; boxes are matched by overlap"
+        )
     if is_nuscenes and arguments.iou_above != PAPER_IOU:
         raise PemError("iou_above: not with format nuscenes, which centres_below_m matches")
     if is_nuscenes and arguments.rate_hz != DEFAULT_HZ:

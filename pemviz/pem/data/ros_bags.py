@@ -19,6 +19,7 @@ from pemviz.errors import PemError
 from pemviz.faults import exception_text
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.pem.data.kitti_labels import FARTHEST_PX, Box
+from pemviz.pem.data.timed_boxes import Moment, SeenBox
 
 BOXES_3D = {
     "vision_msgs/msg/Detection3DArray": "detections",
@@ -38,42 +39,6 @@ SUFFIXES = (".mcap",)
 METADATA = "metadata.yaml"
 LARGEST_M = 1e6
 SHOWN_TOPICS = 12
-
-
-@dataclass(frozen=True)
-class SeenBox:
-    """What a message says of one obstacle.
-
-    Attributes:
-        name: Its class, or the number of it as text.
-        who: What follows it from message to message; empty if nothing does.
-        place_m: Centre, x, y, z in the message's frame; of boxes in an image all 0.
-        rotation: Quaternion w, x, y, z of length 1.
-        size_m: Length, width, height.
-        box_px: In an image.
-    """
-
-    name: str
-    score: float
-    who: str
-    place_m: FloatArray
-    rotation: FloatArray
-    size_m: FloatArray
-    box_px: Box | None = None
-
-
-@dataclass(frozen=True)
-class Moment:
-    """A message of boxes.
-
-    Attributes:
-        time_ns: Its header's stamp.
-        frame: Name of the frame that places are in.
-    """
-
-    time_ns: int
-    frame: str
-    boxes: tuple[SeenBox, ...]
 
 
 @dataclass(frozen=True)
