@@ -85,7 +85,8 @@ class CollectArguments:
     pemviz pem memory --model guess-mu alone. coco with a file of COCO's ground truth as labels:
     boxes in images, in tracks where annotations have a track_id, for pem memory --model guess-mu
     and for pem fit --features; fiftyone likewise: two fields of a samples.json. argoverse:
-    Argoverse 2's annotations and a file of detections (feather). rosbag: two topics of rosbags of ROS 2 (.mcap, or a folder), of vision_msgs' Detection3DArray or Detection2DArray,
+    Argoverse 2's annotations and a file of detections (feather). rosbag: two topics of rosbags of
+    ROS 2 (.mcap, or a folder), of vision_msgs' Detection3DArray or Detection2DArray,
     or of Autoware's detected or tracked objects (needs pemviz[logs]). log: a log of your own,
     matched already, whose columns --mapping tells: text, JSON lines (.jsonl), parquet, Arrow
     (.arrow, .feather)."""
