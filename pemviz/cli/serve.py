@@ -12,9 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from types import FrameType
 
-from pemviz.cli.parsing import parse_arguments
+from pemviz.cli.parsing import Processes, parse_arguments
+from pemviz.config.ranges import check_value
 from pemviz.errors import EXIT_DONE, ConfigError
 from pemviz.runs.events import Observer
+from pemviz.runs.workers import check_one_kind
 
 DESCRIPTION = (
     "Show the panel: set up experiments, run them, watch the proposals form, walk through the "
@@ -35,6 +37,11 @@ class ServeArguments:
     """Folder of kept runs; new runs land there."""
     no_browser: bool = False
     """Do not open a browser."""
+    workers: Processes | None = None
+    """Processes that simulate slow simulators' rollouts; left out, one thread does. The results do
+    not depend on it."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers do that instead."""
 
 
 def run(words: Sequence[str]) -> int:
@@ -49,6 +56,9 @@ def run(words: Sequence[str]) -> int:
     if not 0 <= arguments.port <= 65535:
         message = f"port = {arguments.port}: must be a whole number, at least 0 and at most 65535"
         raise ConfigError(message)
+    if arguments.workers is not None:
+        check_value(name="workers", value=arguments.workers, annotation=Processes)
+    check_one_kind(workers=arguments.workers, scheduler=arguments.scheduler)
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     stopping = threading.Event()
 
@@ -73,7 +83,12 @@ def _serve(arguments: ServeArguments, stopping: threading.Event) -> None:
 
     local = is_loopback(arguments.host)
     viewers = Viewers(viewer)
-    controller = Controller(arguments.recordings, observers=recorders)
+    controller = Controller(
+        arguments.recordings,
+        observers=recorders,
+        workers=arguments.workers,
+        scheduler=arguments.scheduler,
+    )
     recordings = RecordingsFolder(arguments.recordings)
     app = App(
         Hub(

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
 from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.workers import no_use
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of
@@ -38,6 +40,7 @@ class Progress:
         by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
             count no rollouts.
         goes_on: Whether stages and rollouts are what it begins with, so that no end is known.
+        workers: Who simulates, in words; empty: this process.
     """
 
     repetition: int
@@ -49,6 +52,7 @@ class Progress:
     elapsed_s: float
     by_level: bool = False
     goes_on: bool = False
+    workers: str = ""
 
     @property
     def share(self) -> float:
@@ -72,6 +76,7 @@ class Watcher:
         folder: Path | None,
         publish: Callable[[RunData, Progress], None],
         own: Simulator | SlotSimulator | None = None,
+        workers: str = "",
     ) -> None:
         """Prepare to ``publish`` every state of the run; ``own`` as of :class:`RunData`."""
         self._started: events.RunStarted | None = None
@@ -81,7 +86,7 @@ class Watcher:
         self._began_s = time.monotonic()
         self._done_before = 0
         self.run: RunData | None = None
-        self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0)
+        self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0, workers=workers)
 
     def notify(self, event: events.Event) -> None:
         """Publish what ``event`` adds."""
@@ -189,9 +194,19 @@ class Controller:
         recordings: Path,
         *,
         observers: Callable[[Path], Sequence[events.Observer]] | None = None,
+        workers: int | None = None,
+        scheduler: str | None = None,
     ) -> None:
-        """Start the worker; ``observers`` gives a run folder's observers, e.g. a recorder."""
+        """Start the thread that runs them.
+
+        Args:
+            recordings: Where runs are kept.
+            observers: Gives a run folder's observers, such as a recorder.
+            workers: So many processes simulate, where they help.
+            scheduler: The cluster does whose scheduler has this address.
+        """
         self.recordings = recordings
+        self._workers, self._scheduler = workers, scheduler
         self._observers = observers
         self._lock = threading.Lock()
         self._state = PanelState()
@@ -273,10 +288,15 @@ class Controller:
     def _run(self, config: ExperimentConfig, keep: bool) -> None:
         experiment = build_experiment(config)
         own = own_scenario(experiment.declared, experiment.config)
+        helps = not no_use(experiment)
+        by: Any = {"workers": self._workers, "scheduler": self._scheduler} if helps else {}
+        words = "" if self._workers is None else f"by {self._workers} processes"
+        words = words if self._scheduler is None else "on a cluster"
+        watched: Any = {"publish": self._publish, "own": own, "workers": words if helps else ""}
         stop = self._stop.is_set
         if not keep:
-            watcher = Watcher(folder=None, publish=self._publish, own=own)
-            run_engine(experiment, run_id="quick look", observers=[watcher], should_stop=stop)
+            watcher = Watcher(folder=None, **watched)
+            run_engine(experiment, run_id="quick look", observers=[watcher], should_stop=stop, **by)
             return
         try:
             folder = create_run_folder(self.recordings, label=config.method)
@@ -284,8 +304,10 @@ class Controller:
             message = str(error).replace("out =", "recordings =", 1)
             raise InputError(message) from error
         recorders = [] if self._observers is None else self._observers(folder)
-        watcher = Watcher(folder=folder, publish=self._publish, own=own)
-        carry_out(experiment, folder, recorders=recorders, observers=[watcher], should_stop=stop)
+        watcher = Watcher(folder=folder, **watched)
+        carry_out(
+            experiment, folder, recorders=recorders, observers=[watcher], should_stop=stop, **by
+        )
         run = watcher.run
         if run is None or run.kept == run.simulated:
             return

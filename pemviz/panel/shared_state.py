@@ -4,6 +4,9 @@ from pemviz.panel.controller import PanelState, Progress
 from pemviz.panel.run_summary import summary
 from pemviz.panel.site import Json
 
+LONG_S = 30.0
+"""From when on it is told how many rollouts a minute brings."""
+
 
 def shared_state(state: PanelState) -> Json:
     """The state as a page gets it."""
@@ -47,6 +50,9 @@ def _progress_text(progress: Progress) -> str:
         words += f": {progress.done:,} rollouts, until the interval is as narrow as asked"
     else:
         words += f": {progress.done:,} of {progress.planned:,} rollouts"
+    words += f" {progress.workers}" if progress.workers else ""
+    if progress.elapsed_s >= LONG_S and not progress.by_level:
+        words += f", {60.0 * progress.done / progress.elapsed_s:,.0f} a minute"
     left_s = progress.left_s
     if left_s is None:
         return words

@@ -37,13 +37,19 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
         message = f"workers = {workers}: must be at least 1"
         raise ConfigError(message)
     given = f"workers = {workers}" if scheduler is None else f"scheduler = {scheduler}"
+    useless = no_use(experiment)
+    if useless:
+        raise ConfigError(f"{given}: {useless}")
+
+
+def no_use(experiment: Experiment) -> str:
+    """Why workers could not help; empty where they can."""
     config = experiment.config
     if config.simulator == "vectorized" and not experiment.is_own_system:
-        message = f"{given}: the vectorized simulator has no use for it; try simulator highway-env"
-        raise ConfigError(message)
+        return "the vectorized simulator has no use for it; try simulator highway-env"
     if "restarts" in experiment.description.needs:
-        message = f"{given}: {config.method} simulates in this process alone; leave it out"
-        raise ConfigError(message)
+        return f"{config.method} simulates in this process alone; leave it out"
+    return ""
 
 
 @contextmanager

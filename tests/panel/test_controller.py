@@ -123,3 +123,23 @@ def test_version_grows_with_every_change(controller):
     thread.join()
     assert seen == sorted(seen)
     assert len(set(seen)) > 1
+
+
+def test_processes_simulate_what_is_slow_to_the_same_result(tmp_path):
+    """And nothing where they are of no use."""
+    slow = replace(NAIVE, simulator="highway-env", measured_memory=False)
+    results, told = [], set()
+    for workers in (None, 2):
+        folder = tmp_path / str(workers)
+        with closing(Controller(folder, workers=workers)) as controller:
+            for config in (slow, replace(slow, simulator="vectorized")):
+                assert controller.start(config)
+                while controller.state.running:
+                    progress = controller.state.progress
+                    told.add((config.simulator, progress.workers if progress else ""))
+                    time.sleep(0.02)
+                assert controller.state.error is None
+                results.append(controller.state.run.result.estimate)
+    assert results[:2] == results[2:]
+    assert ("highway-env", "by 2 processes") in told
+    assert ("vectorized", "by 2 processes") not in told

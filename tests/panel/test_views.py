@@ -170,6 +170,12 @@ def test_status_tells_stage_rollouts_and_time_left():
     open_end = status_words(PanelState(running=True, progress=replace(progress, goes_on=True)))
     assert "Stage 4: 500 rollouts, until the interval is as narrow as asked" in open_end
     assert "left" not in open_end
+    slow = status_words(
+        PanelState(
+            running=True, progress=replace(progress, elapsed_s=60.0, workers="by 4 processes")
+        )
+    )
+    assert "500 of 1,200 rollouts by 4 processes, 500 a minute, about 84 s left" in slow
     assert "Stopping" in status_words(PanelState(running=True, stopping=True))
     assert "Ready" in status_words(PanelState())
 
