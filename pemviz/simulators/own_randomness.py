@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pemviz.errors import ConfigError
 from pemviz.types import StateBatch
 
 OTHER_SEEDS = 5
@@ -96,9 +97,11 @@ def drawn_alike(simulator: object, rollout: Callable[[int], Iterator[StateBatch]
         return "its steps draw random numbers that are the same in every rollout"
     fixed = frozenset(seeds & seeds_too)
     for shift in range(1, OTHER_SEEDS + 1) if fixed else ():
-        with _in_force(Sources(others=fixed, shift=shift)):
-            others = list(rollout(0))
-        where = _difference(states, others)
+        try:
+            with _in_force(Sources(others=fixed, shift=shift)):
+                where = _difference(states, list(rollout(0)))
+        except ConfigError as error:  # it knows no other course
+            where = f"there is none: {error}"
         if where:
             return f"its random numbers are the same in every rollout; from another seed {where}"
     return ""

@@ -138,6 +138,15 @@ class OfTorch(DrawnAhead):
         self.gusts = torch.rand(WALK.states).tolist()
 
 
+class KnowsOneSeed(OfTheStep):
+    def begin(self):
+        if default_rng(0).random() > 0.64:
+            raise ValueError("no such map")
+
+    def gust(self):
+        return 1.0
+
+
 class OfLatents(SeededAnew):
     latents = LatentCounts(seeds=1)
 
@@ -163,7 +172,7 @@ COURSE = {
     "gymnasium-copies": adapted(pemviz.GymnasiumSimulator, GustyWalk(), seed=5),
     "gymnasium-start": adapted(pemviz.GymnasiumEpisodes, ShiftedStart()),
     **{kind.__name__: kind() for kind in (SeededAnew, Copied, OfTheStep, DrawnAhead)},
-    **{kind.__name__: kind() for kind in (OfPython, OfTheProcess, OfTorch, Batched)},
+    **{kind.__name__: kind() for kind in (OfPython, OfTheProcess, OfTorch, Batched, KnowsOneSeed)},
 }
 
 
