@@ -1,0 +1,58 @@
+"""``python -m studies.detector_in_the_loop``: the study from nothing, or on from where it was."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from pemviz.files.atomic import write_json
+from studies.detector_in_the_loop.page import write_page
+from studies.detector_in_the_loop.settings import QUICK, SETTINGS, WHOLE
+from studies.detector_in_the_loop.study import document_of, predictions, the_detector, truths
+
+PARTS = ("all", "detector", "truth", "predictions")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line and return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m studies.detector_in_the_loop")
+    parser.add_argument("--out", type=Path, default=Path("detector-in-the-loop"))
+    parser.add_argument("--quick", action="store_true", help="a small study, under 20 minutes")
+    parser.add_argument("--part", choices=PARTS, default="all", help="do no more than this")
+    names = [setting.name for setting in SETTINGS]
+    parser.add_argument("--settings", nargs="+", choices=names, default=names)
+    parser.add_argument("--share", type=float, help="of the rollouts of each setting, 0 to 1")
+    parser.add_argument("--frames", type=int, nargs="+", help="labelled frames of predictions")
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    effort = QUICK if given.quick else WHOLE
+    if given.share is not None:
+        effort = replace(effort, share=given.share)
+    if given.frames is not None:
+        effort = replace(effort, frames=tuple(given.frames))
+    began = time.monotonic()
+
+    def tell(words: str) -> None:
+        print(f"[{time.monotonic() - began:6.0f} s] {words}", file=sys.stderr, flush=True)
+
+    given.out.mkdir(parents=True, exist_ok=True)
+    if given.part == "detector":
+        the_detector(given.out, effort, tell)
+        return 0
+    rows, found = [], {}
+    if given.part != "predictions":
+        found = truths(given.out, effort, names=given.settings, tell=tell)
+    if given.part != "truth":
+        rows = predictions(given.out, effort, names=given.settings, tell=tell)
+    if given.part == "all":
+        write_json(given.out / "results.json", document_of(rows, found))
+        write_page(given.out, rows, found, effort=effort, tell=tell)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

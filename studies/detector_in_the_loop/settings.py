@@ -1,0 +1,98 @@
+"""What the study asks: settings, how many rollouts and labelled frames, and where they are kept."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from studies.detector_in_the_loop.scene import DOMAINS, Domain
+from studies.detector_in_the_loop.worlds import BrakingWorld, CutInWorld, World
+
+SEED = 20261126
+TRAINING, VALIDATION, LABELLED, HELD_OUT, TRUTH, SPLITTING = range(6)
+"""Purposes: scenes of one are never those of another."""
+SPLITTING_RUNS = 5
+BLOCK = 500
+"""Rollouts that are drawn together."""
+
+
+def seeds(purpose: int, *place: int) -> np.random.SeedSequence:
+    """The root of a purpose's randomness, or of a part of it."""
+    return np.random.SeedSequence(SEED, spawn_key=(purpose, *place))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scenario, a domain and a threshold, whose failure probability is asked for.
+
+    Attributes:
+        name: In files and tables.
+        world: The scenario.
+        domain_name: Light and weather, of :data:`DOMAINS`.
+        strict: How far the detector's threshold is from the usual one, in logits.
+        rollouts: That are counted.
+        levels_m: Of splitting; empty: plain rollouts are enough.
+        particles: Of a run of splitting.
+    """
+
+    name: str
+    world: World
+    domain_name: str
+    strict: float
+    rollouts: int = 100_000
+    levels_m: tuple[float, ...] = ()
+    particles: int = 4_000
+
+    @property
+    def domain(self) -> Domain:
+        """Light and weather."""
+        return DOMAINS[self.domain_name]
+
+    def threshold(self, usual: float) -> float:
+        """Score from which on a detection counts."""
+        logit = np.log(usual / (1.0 - usual)) + self.strict
+        return float(1.0 / (1.0 + np.exp(-logit)))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is done.
+
+    Attributes:
+        pictures: The detector is trained on.
+        epochs: Of training.
+        validation: Pictures of its curve and threshold.
+        frames: Labelled, a prediction for each.
+        share: Of the rollouts of each setting.
+    """
+
+    pictures: int = 24_000
+    epochs: int = 12
+    validation: int = 4_000
+    frames: tuple[int, ...] = (1_000, 10_000, 100_000)
+    share: float = 1.0
+
+
+WHOLE = Effort()
+QUICK = replace(
+    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(1_000, 5_000), share=0.02
+)
+
+
+FAR = BrakingWorld(initial_gap_m=70.0, emergency_gap_m=60.0, speed_kmh=108.0)
+"""108 km/h: eleven frames decide, 60 to 44 m away."""
+MIDDLE = BrakingWorld(
+    initial_gap_m=45.0, emergency_gap_m=35.0, speed_kmh=72.0, lead_deceleration_mps2=5.0
+)
+"""72 km/h: ten frames decide, 35 to 22 m away."""
+
+SETTINGS = (
+    Setting("far-fair", FAR, "fair", 1.2),
+    Setting("far-rain", FAR, "rain", 0.6),
+    Setting("far-fog", FAR, "fog", 0.0),
+    Setting("middle-fair", MIDDLE, "fair", 1.2),
+    Setting("middle-rain", MIDDLE, "rain", 0.6),
+    Setting("middle-fog", MIDDLE, "fog", 0.0),
+    Setting("cut-in-fair", CutInWorld(), "fair", 1.2),
+    Setting("cut-in-fog", CutInWorld(), "fog", 1.2),
+)
+"""All that is asked."""

@@ -1,0 +1,295 @@
+"""The parts of the study, in order; what is done is kept in files, and the same command goes on."""
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pemviz.files.atomic import write_text
+from studies.detector_in_the_loop.detector import Detector, load_detector, save_network
+from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
+from studies.detector_in_the_loop.loop import Loop
+from studies.detector_in_the_loop.predictions import (
+    VARIANTS,
+    Answer,
+    Fitted,
+    fitted,
+    mixed,
+    recorded,
+    sequences_for,
+    subset,
+)
+from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, Domain
+from studies.detector_in_the_loop.settings import (
+    HELD_OUT,
+    LABELLED,
+    SETTINGS,
+    SPLITTING_RUNS,
+    TRAINING,
+    VALIDATION,
+    Effort,
+    Setting,
+    seeds,
+)
+from studies.detector_in_the_loop.splitting import of_runs, split_run
+from studies.detector_in_the_loop.training import draw_pictures, quality_of, train
+from studies.detector_in_the_loop.truth import Count, counted
+from studies.detector_in_the_loop.worlds import BrakingWorld
+
+LOG = logging.getLogger(__name__)
+Tell = Callable[[str], None]
+HIDDEN = "hidden"
+"""The variant that knows light and weather: a model for each, with both memory and frailty."""
+FEWEST_OF_A_KIND = 5
+"""Sequences of a kind of light and weather without which it gets no model of its own."""
+KINDS = tuple(f"{light}, {weather}" for light in LIGHTS for weather in WEATHERS)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """How likely a setting fails, with the detector in the loop.
+
+    Attributes:
+        probability: Counted, or by splitting.
+        low: Of its 95 % interval.
+        high: Likewise.
+        how: In words.
+        count: The plain rollouts.
+    """
+
+    probability: float
+    low: float
+    high: float
+    how: str
+    count: Count
+
+
+@dataclass(frozen=True)
+class Row:
+    """A prediction.
+
+    Attributes:
+        setting: Its name.
+        frames: Labelled.
+        variant: One of :data:`.predictions.VARIANTS` or :data:`HIDDEN`.
+        answer: Of ``record``.
+        tau_s: With which memory time; ``None`` with several.
+        frailty: With which frailty.
+        refuted: Quantities refuted on the sequences that it was fitted to.
+        unseen: Likewise on others, by name.
+    """
+
+    setting: str
+    frames: int
+    variant: str
+    answer: Answer
+    tau_s: float | None
+    frailty: float | None
+    refuted: int | None
+    unseen: tuple[str, ...]
+
+
+def the_detector(folder: Path, effort: Effort, tell: Tell) -> Detector:
+    """The detector: kept, or trained on scenes of its own, with its curve and card beside it."""
+    path = folder / "detector.safetensors"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        network = train(
+            pictures=effort.pictures,
+            epochs=effort.epochs,
+            seeds=seeds(TRAINING),
+            on_epoch=lambda epoch, loss: tell(f"epoch {epoch}: loss {loss:.3f}"),
+        )
+        quality = quality_of(
+            network, draw_pictures(count=effort.validation, seeds=seeds(VALIDATION))
+        )
+        threshold = quality.best_f1()
+        step = max(1, quality.threshold.size // 400)
+        document = {
+            "pictures": effort.pictures,
+            "epochs": effort.epochs,
+            "validation": effort.validation,
+            "average_precision": quality.average_precision,
+            "threshold": threshold,
+            "parameters": sum(each.numel() for each in network.parameters()),
+            "curve": {name: getattr(quality, name)[::step].tolist() for name in asdict(quality)},
+        }
+        write_text(folder / "detector.json", json.dumps(document))
+        save_network(network, path, threshold=threshold)
+    return load_detector(path)
+
+
+def labelled(
+    folder: Path, domain: Domain, detector: Detector, *, frames: int, purpose: int, tell: Tell
+) -> list[str]:
+    """Names of a domain's sequences with that many frames; those that are missing are rendered."""
+    wanted, place = sequences_for(frames), tuple(domain.name.encode())
+    for start in range(0, wanted, AT_A_TIME):
+        last = folder / HIDDEN / f"{min(start + AT_A_TIME, wanted) - 1:06d}.json"
+        if last.exists():
+            continue
+        own = seeds(purpose, *place)
+        count = min(AT_A_TIME, wanted - start)
+        write_sequences(domain, detector, folder, count=count, seeds=own, offset=start)
+        tell(f"{domain.name}: {start + count} of {wanted} sequences labelled")
+    return [f"{number:06d}" for number in range(wanted)]
+
+
+def fitted_to(
+    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+) -> tuple[Fitted, Path, Sequence[str], Path, Sequence[str]]:
+    """The error model of a setting's detector from so many frames, checked on a fifth as many."""
+    domain, data = setting.domain, folder / "labelled" / setting.domain_name
+    names = labelled(data / "train", domain, detector, frames=frames, purpose=LABELLED, tell=tell)
+    others = labelled(
+        data / "other",
+        domain,
+        detector,
+        frames=max(frames // 5, 1_000),
+        purpose=HELD_OUT,
+        tell=tell,
+    )
+    own = folder / "models" / f"{setting.domain_name}_{setting.strict:g}_{frames}"
+    if not (own / "fitted.json").exists():
+        subset(data / "train", own / "train", names)
+        subset(data / "other", own / "other", others)
+    threshold = setting.threshold(detector.threshold)
+    model = fitted(own / "train", own / "other", own, threshold=threshold)
+    return model, data / "train", names, own, others
+
+
+def predicted(
+    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+) -> list[Row]:
+    """What is predicted of a setting from so many labelled frames, each variant a row."""
+    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+    answers, rows = folder / "answers" / setting.name, list[Row]()
+    answers.mkdir(parents=True, exist_ok=True)
+    for name in VARIANTS:
+        if (variant := model.variants.get(name)) is None:
+            continue
+        told = recorded(
+            setting,
+            model.path,
+            tau_s=variant.tau_s,
+            frailty=variant.frailty,
+            out=answers / f"{frames}_{name}.json",
+        )
+        answer = Answer.of(told)
+        tell(f"{setting.name}, {frames} frames, {name}: {answer.probability:.2e}")
+        rows.append(
+            Row(
+                setting=setting.name,
+                frames=frames,
+                variant=name,
+                answer=answer,
+                tau_s=variant.tau_s,
+                frailty=variant.frailty,
+                refuted=variant.refuted,
+                unseen=variant.unseen,
+            )
+        )
+    return rows
+
+
+def predicted_by_kind(
+    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+) -> list[Row]:
+    """What is predicted if light and weather of each sequence were known: a model for each kind.
+
+    Each kind counts by its share of the labelled sequences; those with too few are left to the
+    model of all.
+    """
+    whole, data, names, own, others = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+    answers = folder / "answers" / setting.name
+    kinds, other_kinds = _kinds(data, names), _kinds(data.parent / "other", others)
+    parts: list[tuple[float, Answer]] = []
+    for place, kind in enumerate(KINDS):
+        mine = [name for name in names if kinds[name] == kind]
+        theirs = [name for name in others if other_kinds[name] == kind]
+        if not mine:
+            continue
+        model, where = whole, own / f"kind-{place}"
+        if len(mine) >= FEWEST_OF_A_KIND and len(theirs) >= 2:
+            if not (where / "fitted.json").exists():
+                subset(data, where / "train", mine)
+                subset(data.parent / "other", where / "other", theirs)
+            threshold = setting.threshold(detector.threshold)
+            model = fitted(where / "train", where / "other", where, threshold=threshold)
+        both = model.variants["both"]
+        out = answers / f"{frames}_{HIDDEN}-{place}.json"
+        told = recorded(setting, model.path, tau_s=both.tau_s, frailty=both.frailty, out=out)
+        parts.append((len(mine) / len(names), Answer.of(told)))
+    answer = mixed(parts)
+    tell(f"{setting.name}, {frames} frames, {HIDDEN}: {answer.probability:.2e}")
+    return [Row(setting.name, frames, HIDDEN, answer, None, None, None, ())]
+
+
+def _kinds(data: Path, names: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name in names:
+        told = json.loads((data / HIDDEN / f"{name}.json").read_text(encoding="utf-8"))
+        found[name] = f"{told['light']}, {told['weather']}"
+    return found
+
+
+def the_truth(
+    folder: Path, setting: Setting, detector: Detector, *, share: float, tell: Tell
+) -> Truth:
+    """Plain rollouts, and splitting where these show too little."""
+    wanted = max(500, int(setting.rollouts * share))
+
+    def on_block(count: Count, rollouts: int) -> None:
+        tell(f"{setting.name}: {count.failed} of {count.rollouts} fail, {rollouts} wanted")
+
+    count = counted(setting, detector, folder / "truth", rollouts=wanted, on_block=on_block)
+    low, high = count.interval
+    plain = Truth(count.probability, low, high, "counted", count)
+    if not setting.levels_m or not isinstance(setting.world, BrakingWorld):
+        return plain
+    path = folder / "truth" / f"{setting.name}-splitting.json"
+    runs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    particles = max(300, int(setting.particles * min(1.0, 5.0 * share)))
+    for run in range(len(runs), SPLITTING_RUNS):
+        levels_m = np.array(setting.levels_m)
+        loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
+        made = split_run(setting, loop, levels_m=levels_m, count=particles, run=run)
+        runs.append(asdict(made))
+        write_text(path, json.dumps(runs))
+        tell(f"{setting.name}, splitting: {made.probability:.2e}, {made.shares}")
+    probability, low, high = of_runs([run["probability"] for run in runs])
+    return Truth(probability, low, high, f"{len(runs)} runs of splitting", count)
+
+
+def predictions(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) -> list[Row]:
+    """All predictions of the settings named, the fewest frames first."""
+    detector = the_detector(folder, effort, tell)
+    chosen, rows = [one for one in SETTINGS if one.name in names], list[Row]()
+    for frames in effort.frames:
+        for setting in chosen:
+            rows += predicted(folder, setting, detector, frames=frames, tell=tell)
+    for setting in chosen:
+        rows += predicted_by_kind(folder, setting, detector, frames=effort.frames[-1], tell=tell)
+    return rows
+
+
+def truths(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) -> dict[str, Truth]:
+    """The truth of each setting named."""
+    detector = the_detector(folder, effort, tell)
+    return {
+        setting.name: the_truth(folder, setting, detector, share=effort.share, tell=tell)
+        for setting in SETTINGS
+        if setting.name in names
+    }
+
+
+def document_of(rows: Sequence[Row], found: dict[str, Truth]) -> dict[str, Any]:
+    """Everything, for a file."""
+    return {
+        "truths": {name: asdict(one) for name, one in found.items()},
+        "predictions": [asdict(row) for row in rows],
+    }
