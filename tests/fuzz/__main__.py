@@ -5,11 +5,14 @@ import sys
 from collections.abc import Sequence
 
 from tests.fuzz.harness import Counts, carry_out, valid_files
+from tests.fuzz.log_targets import TARGETS as LOG_TARGETS
 from tests.fuzz.pem_targets import TARGETS as PEM_TARGETS
 from tests.fuzz.run_targets import TARGETS as RUN_TARGETS
 from tests.fuzz.text_targets import TARGETS as TEXT_TARGETS
 
-TARGETS = {target.name: target for target in (*TEXT_TARGETS, *PEM_TARGETS, *RUN_TARGETS)}
+TARGETS = {
+    target.name: target for target in (*TEXT_TARGETS, *PEM_TARGETS, *RUN_TARGETS, *LOG_TARGETS)
+}
 SHOWN = 3
 """Findings told of each target."""
 

@@ -40,8 +40,9 @@ def tracks_file(path, *, frames_each=1, jitter=0.0, header=HEADER, when=None, se
 def test_every_frame_logged_twice_is_refused(tmp_path):
     assert load_tracks(tracks_file(tmp_path / "once.csv")).doubts == ()
     twice = tracks_file(tmp_path / "twice.csv", frames_each=2)
-    with pytest.raises(PemError, match=r"last exactly 2 frames.*keep one of 2"):
-        load_tracks(twice)
+    for load in (load_tracks, load_table):
+        with pytest.raises(PemError, match=r"last exactly 2 frames.*keep one of 2"):
+            load(twice)
 
 
 def test_outcomes_that_change_in_pairs_of_frames_alone_are_told(tmp_path):

@@ -111,7 +111,7 @@ class _Boxes:
             np.stack([columns.numbers(one, largest=LARGEST) for one in part], axis=1)
             for part in (PLACE, ROTATION, SIZE)
         )
-        length = np.linalg.norm(rotation, axis=1)
+        length = np.linalg.norm(rotation, axis=1)  # none is beyond LARGEST
         for wrong, column, words in (
             (~((length > 0.5) & (length < 2.0)), "qw", "begins no quaternion of length 1"),
             (~(size > 0.0).all(axis=1), "length_m", "or another side is not above 0"),

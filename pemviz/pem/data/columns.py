@@ -269,8 +269,11 @@ def _read_binary(
         if path.suffix == ".parquet":
             if header_alone:
                 return parquet.read_schema(path).empty_table()
-            return parquet.read_table(path, columns=wanted)
-        return feather.read_table(path, columns=wanted)
-    except (pa.ArrowException, OSError, ValueError) as error:
+            table: Any = parquet.read_table(path, columns=wanted)
+        else:
+            table = feather.read_table(path, columns=wanted)
+        table.validate(full=True)  # a damaged file may point outside of itself
+        return table
+    except (pa.ArrowException, OSError, ValueError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PemError(f"{path}: not a readable {path.suffix} file ({reason})") from None

@@ -209,12 +209,15 @@ def _binary_batches(path: Path, *, wanted: Collection[str], rows: int) -> Iterat
         for batch, total in _record_batches(path, wanted, rows):
             if batch.num_rows == 0:
                 continue
+            batch.validate(full=True)  # a damaged file may point outside of itself
             table = pa.Table.from_batches([batch])
+            if len(set(table.column_names)) < len(table.column_names):
+                raise PemError(f"{path}: a column stands twice")
             lines = np.arange(done + 1, done + batch.num_rows + 1)
             done += batch.num_rows
             columns = Columns(path, tuple(table.column_names), table, lines, is_text=False)
             yield LogBatch(columns, done / max(total, 1))
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PemError(f"{path}: not a readable {path.suffix} file ({reason})") from None
     if done == 0:

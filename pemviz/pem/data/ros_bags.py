@@ -238,7 +238,8 @@ def _placed(pose: Any, where: str) -> tuple[FloatArray, FloatArray]:
     at, turn = pose.position, pose.orientation
     place = np.array([at.x, at.y, at.z], dtype=np.float64)
     rotation = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
-    length = float(np.linalg.norm(rotation))
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = float(np.linalg.norm(rotation))
     if not (np.abs(place) <= LARGEST_M).all():
         raise PemError(f"{where}: its place is {place.tolist()}, allowed: at most {LARGEST_M:g} m")
     if not 0.5 < length < 2.0:

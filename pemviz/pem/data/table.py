@@ -35,6 +35,8 @@ INPUTS_FILE = "salient_inputs.txt"
 LABELS_FILE = "salient_labels.txt"
 RATE_COLUMN = "rate_hz"
 TRACK_COLUMNS = ("sequence", "frame", "track", RATE_COLUMN)
+JUDGED_ROWS = 200_000
+"""Of a large table, among which frames that were logged again are looked for."""
 TIME_COLUMN = "time_s"
 """Time stamps [s], which may stand in the place of frame and rate_hz."""
 
@@ -131,7 +133,17 @@ def _table_of_columns(columns: Columns, features: Sequence[str]) -> SalientTable
     table = _checked_table(columns.path, salient, detected, sequence=sequence, features=own)
     moment = next((name for name in (TIME_COLUMN, "frame") if name in columns.header), None)
     if sequence is not None and moment is not None:
-        check_not_twice(sequence, columns.labels("track"), columns.numbers(moment), columns)
+        track, when = columns.labels("track"), columns.numbers(moment)
+        check_not_twice(sequence, track, when, columns)
+        order = np.lexsort((when, track, sequence))[:JUDGED_ROWS]
+        follows = np.append(False, (np.diff(track[order]) == 0) & (np.diff(sequence[order]) == 0))
+        check_not_logged_again(
+            salient[order],
+            table.detected[order],
+            follows=follows,
+            frame=np.arange(len(order)),
+            where=str(columns.path),
+        )
     return table
 
 
