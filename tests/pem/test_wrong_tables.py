@@ -214,6 +214,17 @@ def test_comments_and_blank_lines_change_nothing(tmp_path):
     np.testing.assert_array_equal(plain.salient, rows)
 
 
+def test_quotes_about_names_and_cells_are_no_part_of_them(tmp_path):
+    """As Arrow's and R's writers put them."""
+    path = tracks_file(tmp_path / "tracks.csv")
+    csv.write_csv(csv.read_csv(path), tmp_path / "quoted.csv")
+    assert (tmp_path / "quoted.csv").read_text().startswith('"sequence","frame"')
+    quoted = load_table(tmp_path / "quoted.csv")
+    np.testing.assert_array_equal(quoted.salient, load_table(path).salient)
+    (tmp_path / "said.csv").write_text((tmp_path / "quoted.csv").read_text() + "# said, so\n")
+    assert load_table(tmp_path / "said.csv").digest == quoted.digest
+
+
 @pytest.mark.parametrize("suffix", [".parquet", ".feather"])
 def test_the_same_table_in_arrow_s_formats(tmp_path, suffix):
     path = tracks_file(tmp_path / "tracks.csv")

@@ -5,6 +5,8 @@ reads it where every line is a row; what it does not take is read line by line, 
 is wrong with which.
 """
 
+import contextlib
+import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,7 +143,7 @@ def table_header(path: Path) -> tuple[str, ...]:
     if path.suffix in TABLE_SUFFIXES[1:]:
         return tuple(_read_binary(path, header_alone=True).column_names)
     with open_text(path) as stream:
-        return tuple(name.strip() for name in stream.readline().split(","))
+        return tuple(split_cells(stream.readline(), ","))
 
 
 def read_columns(path: Path, *needs: str) -> Columns:
@@ -160,6 +162,15 @@ def read_columns(path: Path, *needs: str) -> Columns:
     check_needs(header, needs, path)
     fast = _fast_csv(path, header)
     return _csv_by_lines(path, header) if fast is None else fast
+
+
+def split_cells(line: str, separator: str | None) -> list[str]:
+    """A line's cells, without space around them and quotes about them; ``None``: white space."""
+    line = line.strip("\r\n")
+    if separator is not None and '"' in line and len(line) < csv.field_size_limit():
+        with contextlib.suppress(csv.Error):
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return [cell.strip() for cell in line.split(separator)]
 
 
 def check_needs(header: Sequence[str], needs: Sequence[str], path: Path) -> None:
@@ -197,16 +208,17 @@ def check_csv_header(header: Sequence[str], path: Path) -> None:
 def _fast_csv(path: Path, header: Sequence[str]) -> Columns | None:
     """By pyarrow, or nothing where a line is blank, a comment or of another count of cells."""
     import pyarrow as pa  # noqa: PLC0415  slow to import
-    from pyarrow import compute, csv  # noqa: PLC0415
+    from pyarrow import compute  # noqa: PLC0415
+    from pyarrow import csv as arrow_csv  # noqa: PLC0415
 
     try:
-        table: Any = csv.read_csv(
+        table: Any = arrow_csv.read_csv(
             path,
-            read_options=csv.ReadOptions(
+            read_options=arrow_csv.ReadOptions(
                 column_names=list(header), skip_rows=1, block_size=BLOCK_BYTES, use_threads=False
             ),
-            parse_options=csv.ParseOptions(quote_char=False, ignore_empty_lines=False),
-            convert_options=csv.ConvertOptions(
+            parse_options=arrow_csv.ParseOptions(ignore_empty_lines=False),
+            convert_options=arrow_csv.ConvertOptions(
                 column_types=dict.fromkeys(header, pa.string()), strings_can_be_null=False
             ),
         )
@@ -244,7 +256,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         next(stream, None)
         for number, line in enumerate(stream, start=2):
             if line.strip() and not line.lstrip().startswith("#"):
-                yield number, [cell.strip() for cell in line.split(",")]
+                yield number, split_cells(line, ",")
 
 
 def _binary_columns(path: Path, needs: Sequence[str]) -> Columns:

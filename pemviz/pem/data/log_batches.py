@@ -17,7 +17,7 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.json_text import parse_json
 from pemviz.files.text_files import open_text
-from pemviz.pem.data.columns import OTHER_SEPARATORS, Columns, text_of
+from pemviz.pem.data.columns import OTHER_SEPARATORS, Columns, split_cells, text_of
 
 Separator = Literal[",", ";", "tab", "whitespace"]
 SEPARATORS: Mapping[Separator, str | None] = {",": ",", ";": ";", "tab": "\t", "whitespace": None}
@@ -148,7 +148,7 @@ def _text_rows(path: Path, shape: FileShape) -> Iterator[_Row]:
             place += len(line)
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
-            cells = [cell.strip() for cell in line.strip("\r\n").split(separator)]
+            cells = split_cells(line, separator)
             if not header:
                 header = tuple(cells)
                 _check_names(header, path, number, shape)
