@@ -12,9 +12,15 @@ import torch
 from pemviz.files.atomic import write_json
 from studies.detector_in_the_loop.page import write_page
 from studies.detector_in_the_loop.settings import QUICK, SETTINGS, WHOLE
-from studies.detector_in_the_loop.study import document_of, predictions, the_detector, truths
+from studies.detector_in_the_loop.study import (
+    document_of,
+    predictions,
+    reasons,
+    the_detector,
+    truths,
+)
 
-PARTS = ("all", "detector", "truth", "predictions")
+PARTS = ("all", "detector", "truth", "predictions", "why")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,10 +29,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("detector-in-the-loop"))
     parser.add_argument("--quick", action="store_true", help="a small study, under 20 minutes")
     parser.add_argument("--part", choices=PARTS, default="all", help="do no more than this")
-    names = [setting.name for setting in SETTINGS]
-    parser.add_argument("--settings", nargs="+", choices=names, default=names)
+    every = [setting.name for setting in SETTINGS]
+    parser.add_argument("--settings", nargs="+", choices=every, default=every)
     parser.add_argument("--share", type=float, help="of the rollouts of each setting, 0 to 1")
     parser.add_argument("--frames", type=int, nargs="+", help="labelled frames of predictions")
+    parser.add_argument(
+        "--sizes", action="store_true", help="predictions with cars' sizes as features, alone"
+    )
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     effort = QUICK if given.quick else WHOLE
@@ -40,17 +49,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"[{time.monotonic() - began:6.0f} s] {words}", file=sys.stderr, flush=True)
 
     given.out.mkdir(parents=True, exist_ok=True)
+    if given.sizes:
+        predictions(given.out, effort, names=given.settings, tell=tell, sizes=True)
+        return 0
     if given.part == "detector":
         the_detector(given.out, effort, tell)
         return 0
-    rows, found = [], {}
-    if given.part != "predictions":
-        found = truths(given.out, effort, names=given.settings, tell=tell)
-    if given.part != "truth":
-        rows = predictions(given.out, effort, names=given.settings, tell=tell)
+    names, out = given.settings, given.out
+    found = truths(out, effort, names=names, tell=tell) if given.part in {"all", "truth"} else {}
+    rows = []
+    if given.part in {"all", "predictions"}:
+        rows = predictions(out, effort, names=names, tell=tell)
+    why = reasons(out, effort, names=names, tell=tell) if given.part in {"all", "why"} else {}
     if given.part == "all":
-        write_json(given.out / "results.json", document_of(rows, found))
-        write_page(given.out, rows, found, effort=effort, tell=tell)
+        write_json(out / "results.json", document_of(rows, found, why))
+        write_page(out, rows, found, why, effort=effort, tell=tell)
     return 0
 
 

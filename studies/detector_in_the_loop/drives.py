@@ -120,7 +120,7 @@ def draw_drive(domain: Domain, *, count: int, seeds: np.random.SeedSequence) -> 
     scene_seeds, motion_seeds = seeds.spawn(2)
     scenes = draw_scenes(domain, count=count, cars=CARS, seeds=scene_seeds)
     random = np.random.default_rng(motion_seeds)
-    time_s = np.arange(FRAMES) * DT_S
+    time_s = np.arange(FRAMES, dtype=np.float64) * DT_S
     ego_mps = random.uniform(5.0, 32.0, count)[:, None]
     poses = np.zeros((count, FRAMES, CARS + TRAFFIC, 4))
     poses[:, :, 0] = _ahead(count, time_s, random)

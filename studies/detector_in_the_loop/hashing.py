@@ -35,9 +35,10 @@ def hashed(seeds: Seeds, step: Any, purpose: int) -> Seeds:
 
 def uniforms(seeds: Seeds, step: Any, purpose: int) -> FloatArray:
     """Uniforms in (0, 1) ``[N]``."""
-    return ((hashed(seeds, step, purpose) >> np.uint64(11)) + 0.5) * 2.0**-53
+    bits = (hashed(seeds, step, purpose) >> np.uint64(11)).astype(np.float64)
+    return (bits + 0.5) * 2.0**-53
 
 
 def normals(seeds: Seeds, step: Any, purpose: int) -> FloatArray:
     """Standard normals ``[N]``."""
-    return ndtri(uniforms(seeds, step, purpose))
+    return np.asarray(ndtri(uniforms(seeds, step, purpose)), dtype=np.float64)

@@ -144,12 +144,17 @@ class Loop:
 def with_traffic(
     scenes: Scenes, poses: FloatArray, travelled_m: FloatArray, *, set_mps: FloatArray, step: int
 ) -> FloatArray:
-    """Poses ``[N, K + 1, 4]``: traffic to the left keeps its speed, near the ego's at the start."""
+    """Poses ``[N, K + 1, 4]`` of N scenes, seen from the ego's place in its lane.
+
+    Traffic to the left keeps its speed, near the ego's at the start.
+    """
     traffic = np.zeros((scenes.count, 1, 4))
     speed_mps = set_mps + scenes.column("traffic_mps")
     traffic[:, 0, 0] = -LANE_M
     traffic[:, 0, 1] = scenes.column("traffic_m") + speed_mps * (step * DT_S) - travelled_m
-    return np.concatenate([poses, traffic], axis=1)
+    found = np.concatenate([poses, traffic], axis=1)
+    found[:, :, 0] += scenes.column("offset_m")[:, None]
+    return found
 
 
 def _together(looks: list[Looks], cars: int) -> Looks:

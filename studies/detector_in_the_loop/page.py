@@ -14,7 +14,8 @@ from studies.detector_in_the_loop.page_words import (
 )
 from studies.detector_in_the_loop.pictures import write_curve, write_frames, write_ratios
 from studies.detector_in_the_loop.settings import SETTINGS, Effort
-from studies.detector_in_the_loop.study import HIDDEN, Row, Truth, the_detector
+from studies.detector_in_the_loop.study import DRIFTING, HIDDEN, Row, Truth, the_detector
+from studies.detector_in_the_loop.why import Explained
 
 Tell = Callable[[str], None]
 
@@ -23,6 +24,7 @@ def write_page(
     folder: Path,
     rows: Sequence[Row],
     found: Mapping[str, Truth],
+    why: Mapping[str, Explained],
     *,
     effort: Effort,
     tell: Tell,
@@ -48,6 +50,8 @@ def write_page(
         "![Predictions over the truth](ratios.png)\n",
         "## Does the check tell?\n",
         check_table(rows, found),
+        "## Why\n",
+        why_table(why),
     ]
     write_text(folder / "results.md", "\n".join(parts))
     tell(f"written: {folder / 'results.md'}")
@@ -103,8 +107,9 @@ def check_table(rows: Sequence[Row], found: Mapping[str, Truth]) -> str:
     """Of each variant: how often nothing was refuted, and how often it then was right."""
     lines = [
         "| variant | within 2 of the truth | nothing refuted out of fold: within 2 | something "
-        "refuted: within 2 | nothing refuted on unseen sequences: within 2 | something: within 2 |",
-        "|---|---|---|---|---|---|",
+        "refuted: within 2 | nothing refuted on unseen sequences: within 2 | something: within 2 | "
+        "no misfit told by 'record': within 2 | some: within 2 |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for variant, title in VARIANT_TITLES.items():
         own = [row for row in rows if row.variant == variant and row.setting in found]
@@ -115,8 +120,8 @@ def check_table(rows: Sequence[Row], found: Mapping[str, Truth]) -> str:
         def share(chosen: Sequence[Row], right: Mapping[int, bool] = right) -> str:
             return f"{sum(right[id(row)] for row in chosen)} of {len(chosen)}" if chosen else "-"
 
-        if variant == HIDDEN:
-            lines.append(f"| {title} | {share(own)} | - | - | - | - |")
+        if variant in {HIDDEN, DRIFTING}:
+            lines.append(f"| {title} | {share(own)} | - | - | - | - | - | - |")
             continue
         parts = [
             own,
@@ -124,6 +129,27 @@ def check_table(rows: Sequence[Row], found: Mapping[str, Truth]) -> str:
             [row for row in own if row.refuted],
             [row for row in own if not row.unseen],
             [row for row in own if row.unseen],
+            [row for row in own if not row.answer.misfits],
+            [row for row in own if row.answer.misfits],
         ]
         lines.append(f"| {title} | " + " | ".join(share(part) for part in parts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def why_table(why: Mapping[str, Explained]) -> str:
+    """How likely all frames that decide are missed: counted, and by parts of the predictions."""
+    lines = [
+        "| setting | frames, gaps | all missed in the loop | memory and frailty of these outcomes "
+        "themselves, and what they give | with the loop's own shares: independent, memory, "
+        "frailty, both | with the model's P(missed): the same | P(missed) in the last "
+        "frame: loop, model, model with copied outcomes |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, one in why.items():
+        own = f"{one.own.tau_s:.2f} s, {one.own.frailty:.2g}: {short(one.own.all_missed)}"
+        parts = [", ".join(short(pair[k]) for pair in one.by_variant.values()) for k in (0, 1)]
+        gaps = f"{len(one.gap_m)}, {one.gap_m[0]:.0f} to {one.gap_m[-1]:.0f} m"
+        last = ", ".join(short(each[-1]) for each in (one.loop, one.model, one.lagged))
+        counted = f"{short(one.all_missed)} of {one.scenes:,}"
+        lines.append(f"| {name} | {gaps} | {counted} | {own} | {parts[0]} | {parts[1]} | {last} |")
     return "\n".join(lines) + "\n"

@@ -38,7 +38,7 @@ SHOWN = (
 )
 NEAR_M = (9.0, 22.0, 45.0)
 PICTURES = 90
-SCALE = 3
+SCALE = 2
 FOUND, MISSED = (60, 230, 90), (255, 60, 60)
 
 
@@ -123,7 +123,11 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
     axes.add_patch(Rectangle((0.5, -1), 1.5, len(names) + 1, color="0.9", zorder=0))
     axes.axvline(1.0, color="0.4", lw=0.8)
     colours = dict(
-        zip(VARIANT_TITLES, ("tab:gray", "tab:blue", "tab:orange", "tab:green", "k"), strict=True)
+        zip(
+            VARIANT_TITLES,
+            ("tab:gray", "tab:blue", "tab:orange", "tab:green", "tab:red", "k"),
+            strict=True,
+        )
     )
     for row in rows:
         if row.setting not in found:
@@ -132,7 +136,7 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
         if not ratio.value:
             continue
         variant = list(VARIANT_TITLES).index(row.variant)
-        height = names.index(row.setting) + 0.15 * (variant - 2)
+        height = names.index(row.setting) + 0.13 * (variant - 2.5)
         size = 3.0 + 2.0 * frames.index(row.frames)
         colour = colours[row.variant]
         fill = colour if holds(ratio) else "white"

@@ -15,6 +15,9 @@ spray, drops and wipers; ``fog`` lognormal(0.040, 0.45) within 0.015 to 0.12 (a 
 **Camera.** Error of exposure normal(0, 0.35) stops; noise lognormal(1, 0.25) times the nominal;
 vibration lognormal(0.35, 0.6) px.
 
+**Place.** In the loop all cars are normal(0, 0.15) m beside where the scenario has them: the ego's
+place in its lane, which no scenario of pemviz's knows.
+
 **Cars.** One of the bodies; paint: white 25, grey 22, black 22, silver 12, blue 9, red 7, other
 colours 3 %, each with a spread; lamps that flicker with the camera's frames in 40 %.
 """
@@ -33,7 +36,15 @@ SCENE_COLUMNS = (
     *("sun_u_px", "sun_v_px", "glare", "sky_r", "sky_g", "sky_b"),
     *("road", "verge_r", "verge_g", "verge_b", "mark", "texture", "shade"),
     *("skyline_px", "skyline_tone", "roadside", "exposure", "noise", "headlights"),
-    *("vibration_px", "drops", "wiper_period_s", "wiper_phase", "traffic_m", "traffic_mps"),
+    *(
+        "vibration_px",
+        "drops",
+        "wiper_period_s",
+        "wiper_phase",
+        "traffic_m",
+        "traffic_mps",
+        "offset_m",
+    ),
 )
 """Names of a scene's numbers."""
 AT = {name: place for place, name in enumerate(SCENE_COLUMNS)}
@@ -41,6 +52,8 @@ CAR_COLUMNS = ("body", "red", "green", "blue", "lamps", "flicker_hz")
 """Of each car; colours are reflectances, ``lamps`` whether its rear lamps are on."""
 LIGHTS = ("day", "dusk", "low sun")
 WEATHERS = ("dry", "rain", "fog")
+OFFSET_M = 0.15
+"""Standard deviation of a car's place in its lane, seen from the ego's."""
 TRAFFIC = 1
 """Cars in a scene beside those of the scenario: the last one."""
 
@@ -118,13 +131,10 @@ def draw_scenes(domain: Domain, *, count: int, cars: int, seeds: np.random.SeedS
     _draw_weather(values, random)
     _draw_road(values, random)
     _draw_camera(values, random)
-    dark = values[:, AT["headlights"]]
-    return Scenes(
-        values=values,
-        cars=_draw_cars(count, cars + TRAFFIC, dark, random),
-        seeds=random.integers(0, 2**64, count, dtype=np.uint64),
-        frame_seeds=random.integers(0, 2**64, count, dtype=np.uint64),
-    )
+    drawn = _draw_cars(count, cars + TRAFFIC, values[:, AT["headlights"]], random)
+    own_seeds = random.integers(0, 2**64, (2, count), dtype=np.uint64)
+    values[:, AT["offset_m"]] = OFFSET_M * random.standard_normal(count)
+    return Scenes(values=values, cars=drawn, seeds=own_seeds[0], frame_seeds=own_seeds[1])
 
 
 def _draw_light(values: FloatArray, random: np.random.Generator) -> None:

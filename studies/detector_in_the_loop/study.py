@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 
 from pemviz.files.atomic import write_text
+from pemviz.pem import load_pem
+from pemviz.pem.data.table import load_tracks
+from pemviz.pem.judging.memory_report import cross_fit
 from studies.detector_in_the_loop.detector import Detector, load_detector, save_network
+from studies.detector_in_the_loop.drifting import Drifting, failures, fit_drifting
 from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
@@ -23,7 +27,7 @@ from studies.detector_in_the_loop.predictions import (
     sequences_for,
     subset,
 )
-from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, Domain
+from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, Domain, draw_scenes
 from studies.detector_in_the_loop.settings import (
     HELD_OUT,
     LABELLED,
@@ -31,17 +35,23 @@ from studies.detector_in_the_loop.settings import (
     SPLITTING_RUNS,
     TRAINING,
     VALIDATION,
+    WHY,
     Effort,
     Setting,
     seeds,
 )
 from studies.detector_in_the_loop.splitting import of_runs, split_run
 from studies.detector_in_the_loop.training import draw_pictures, quality_of, train
-from studies.detector_in_the_loop.truth import Count, counted
+from studies.detector_in_the_loop.truth import Count, counted, exact_interval
+from studies.detector_in_the_loop.why import Explained, OwnMemory, explained
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
 LOG = logging.getLogger(__name__)
 Tell = Callable[[str], None]
+DRIFTING = "drifting"
+"""The variant with the mended memory of :mod:`.drifting`."""
+DRAWN = 100_000
+"""Plain rollouts of it."""
 HIDDEN = "hidden"
 """The variant that knows light and weather: a model for each, with both memory and frailty."""
 FEWEST_OF_A_KIND = 5
@@ -140,7 +150,13 @@ def labelled(
 
 
 def fitted_to(
-    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+    folder: Path,
+    setting: Setting,
+    detector: Detector,
+    *,
+    frames: int,
+    tell: Tell,
+    sizes: bool = False,
 ) -> tuple[Fitted, Path, Sequence[str], Path, Sequence[str]]:
     """The error model of a setting's detector from so many frames, checked on a fifth as many."""
     domain, data = setting.domain, folder / "labelled" / setting.domain_name
@@ -153,24 +169,37 @@ def fitted_to(
         purpose=HELD_OUT,
         tell=tell,
     )
-    own = folder / "models" / f"{setting.domain_name}_{setting.strict:g}_{frames}"
+    models = "models-sizes" if sizes else "models"
+    own = folder / models / f"{setting.domain_name}_{setting.strict:g}_{frames}"
     if not (own / "fitted.json").exists():
         subset(data / "train", own / "train", names)
         subset(data / "other", own / "other", others)
     threshold = setting.threshold(detector.threshold)
-    model = fitted(own / "train", own / "other", own, threshold=threshold)
+    model = fitted(own / "train", own / "other", own, threshold=threshold, sizes=sizes)
     return model, data / "train", names, own, others
 
 
+def possible(setting: Setting) -> tuple[str, ...]:
+    """Variants that ``record`` can answer for: with several obstacles it takes no frailty."""
+    return VARIANTS if setting.world.cars == 1 else ("independent", "memory")
+
+
 def predicted(
-    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+    folder: Path,
+    setting: Setting,
+    detector: Detector,
+    *,
+    frames: int,
+    tell: Tell,
+    sizes: bool = False,
 ) -> list[Row]:
     """What is predicted of a setting from so many labelled frames, each variant a row."""
-    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
-    answers, rows = folder / "answers" / setting.name, list[Row]()
+    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell, sizes=sizes)
+    kept, rows = "answers-sizes" if sizes else "answers", list[Row]()
+    answers = folder / kept / setting.name
     answers.mkdir(parents=True, exist_ok=True)
     for name in VARIANTS:
-        if (variant := model.variants.get(name)) is None:
+        if (variant := model.variants.get(name)) is None or name not in possible(setting):
             continue
         told = recorded(
             setting,
@@ -194,6 +223,33 @@ def predicted(
             )
         )
     return rows
+
+
+def predicted_drifting(
+    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
+) -> list[Row]:
+    """What is predicted with a visibility that drifts in place of copied outcomes."""
+    model, *_, own, _ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+    kept, out = (
+        own / "drifting.json",
+        folder / "answers" / setting.name / f"{frames}_{DRIFTING}.json",
+    )
+    if not kept.exists():
+        tracks = load_tracks(own / "train.csv", rate_hz=None, needs_state=True)
+        held_out = cross_fit(tracks, model="gb-raw", folds=5, seed=0, workers=1)
+        write_text(kept, json.dumps(asdict(fit_drifting(tracks, held_out.logit))))
+    visibility = Drifting(**json.loads(kept.read_text(encoding="utf-8")))
+    if not out.exists():
+        pem, place = load_pem(str(model.path)), tuple(setting.name.encode())
+        failed = failures(
+            setting.world, pem, visibility, rollouts=DRAWN, seeds=seeds(WHY, *place, frames)
+        )
+        write_text(out, json.dumps({"failed": failed, "rollouts": DRAWN}))
+    told = json.loads(out.read_text(encoding="utf-8"))
+    low, high = exact_interval(told["failed"], told["rollouts"])
+    answer = Answer(told["failed"] / told["rollouts"], low, high, ())
+    tell(f"{setting.name}, {frames} frames, {DRIFTING}: {answer.probability:.2e}")
+    return [Row(setting.name, frames, DRIFTING, answer, visibility.tau_s, None, None, ())]
 
 
 def predicted_by_kind(
@@ -220,7 +276,7 @@ def predicted_by_kind(
                 subset(data.parent / "other", where / "other", theirs)
             threshold = setting.threshold(detector.threshold)
             model = fitted(where / "train", where / "other", where, threshold=threshold)
-        both = model.variants["both"]
+        both = model.variants[possible(setting)[-1]]
         out = answers / f"{frames}_{HIDDEN}-{place}.json"
         told = recorded(setting, model.path, tau_s=both.tau_s, frailty=both.frailty, out=out)
         parts.append((len(mine) / len(names), Answer.of(told)))
@@ -265,14 +321,22 @@ def the_truth(
     return Truth(probability, low, high, f"{len(runs)} runs of splitting", count)
 
 
-def predictions(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) -> list[Row]:
-    """All predictions of the settings named, the fewest frames first."""
+def predictions(
+    folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, sizes: bool = False
+) -> list[Row]:
+    """All predictions of the settings named, the fewest frames first.
+
+    With ``sizes`` from models that have the cars' sizes as features; none then knows the light.
+    """
     detector = the_detector(folder, effort, tell)
     chosen, rows = [one for one in SETTINGS if one.name in names], list[Row]()
     for frames in effort.frames:
         for setting in chosen:
-            rows += predicted(folder, setting, detector, frames=frames, tell=tell)
-    for setting in chosen:
+            rows += predicted(folder, setting, detector, frames=frames, tell=tell, sizes=sizes)
+    for frames in () if sizes else effort.frames:
+        for setting in chosen:
+            rows += predicted_drifting(folder, setting, detector, frames=frames, tell=tell)
+    for setting in () if sizes else chosen:
         rows += predicted_by_kind(folder, setting, detector, frames=effort.frames[-1], tell=tell)
     return rows
 
@@ -287,9 +351,40 @@ def truths(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) ->
     }
 
 
-def document_of(rows: Sequence[Row], found: dict[str, Truth]) -> dict[str, Any]:
+def reasons(
+    folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell
+) -> dict[str, Explained]:
+    """Why predictions from the most labelled frames are off, in the braking scenario."""
+    detector, found = the_detector(folder, effort, tell), dict[str, Explained]()
+    (folder / "why").mkdir(parents=True, exist_ok=True)
+    for setting in SETTINGS:
+        if setting.name not in names or not isinstance(setting.world, BrakingWorld):
+            continue
+        path = folder / "why" / f"{setting.name}_{effort.frames[-1]}.json"
+        if not path.exists():
+            frames = effort.frames[-1]
+            model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+            memories = {name: (one.tau_s, one.frailty) for name, one in model.variants.items()}
+            place = tuple(setting.name.encode())
+            scenes = draw_scenes(
+                setting.domain, count=effort.scenes, cars=1, seeds=seeds(WHY, *place)
+            )
+            loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
+            made = explained(loop, scenes, load_pem(str(model.path)), memories)
+            write_text(path, json.dumps(asdict(made)))
+            tell(f"{setting.name}: all frames missed {made.all_missed:.2e}; {made.by_variant}")
+        document = json.loads(path.read_text(encoding="utf-8"))
+        own = OwnMemory(**document.pop("own"))
+        found[setting.name] = Explained(own=own, **document)
+    return found
+
+
+def document_of(
+    rows: Sequence[Row], found: dict[str, Truth], why: dict[str, Explained]
+) -> dict[str, Any]:
     """Everything, for a file."""
     return {
         "truths": {name: asdict(one) for name, one in found.items()},
         "predictions": [asdict(row) for row in rows],
+        "why": {name: asdict(one) for name, one in why.items()},
     }

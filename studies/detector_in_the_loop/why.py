@@ -1,0 +1,209 @@
+"""Why a prediction is off: how often, and how together, the frames that decide are missed.
+
+A setting of the braking scenario is lost when the car is missed in every frame of a window. Along
+the course that the ego takes while it misses, the same in every rollout, all frames of the window
+are looked at: N scenes give outcomes ``[N, W]``. From these come, frame by frame, how often it is
+missed, and how likely all are missed; beside that stands what the error model says of both, and
+which memory time and frailty these outcomes themselves would have, were P(missed) known.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logit
+
+from pemviz.arrays import BoolArray, FloatArray
+from pemviz.pem.models.memory import VisibilityNodes, log_sums, persistence, remembered_outcomes
+from pemviz.pem.models.protocol import Pem
+from studies.detector_in_the_loop.drives import DT_S
+from studies.detector_in_the_loop.loop import Loop, with_traffic
+from studies.detector_in_the_loop.scene import Scenes
+from studies.detector_in_the_loop.worlds import BrakingWorld
+
+TAUS_S = np.concatenate([[0.0], np.geomspace(0.02, 2.0, 15)])
+FRAILTIES = np.linspace(0.0, 4.0, 17)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Outcomes of the frames that decide.
+
+    Attributes:
+        gap_m: At each frame ``[W]``.
+        missed: Whether each was missed ``[N, W]``.
+    """
+
+    gap_m: FloatArray
+    missed: BoolArray
+
+    @property
+    def shares(self) -> FloatArray:
+        """How often each frame is missed ``[W]``."""
+        return self.missed.mean(axis=0)
+
+    @property
+    def all_missed(self) -> float:
+        """How often all of them are."""
+        return float(self.missed.all(axis=1).mean())
+
+
+def decisive_window(loop: Loop, scenes: Scenes) -> Window:
+    """The frames from the first that matters to the last that can still save the ego."""
+    world = loop.world
+    assert isinstance(world, BrakingWorld)  # noqa: S101  only there is the course one
+    set_mps, one = world.simulator.config.initial_speed_mps, world.begin(np.zeros((1, 0)))
+    travelled_m, gaps, missed = 0.0, list[float](), list[BoolArray]()
+    count, blind = scenes.count, np.zeros((1, 1), dtype=np.bool_)
+    for step in range(world.simulator.states - 1):
+        if loop.matters(one)[0]:
+            if not loop.undecided(one)[0]:
+                break
+            poses = with_traffic(
+                scenes,
+                world.poses(one).repeat(count, axis=0),
+                np.full(count, travelled_m),
+                set_mps=np.full(count, set_mps),
+                step=step,
+            )
+            hits = loop.look(scenes, poses, np.full(count, travelled_m), step=step)
+            missed.append(~hits[:, 0])
+            gaps.append(float(one.signals["gap"][0]))
+        travelled_m += float(world.ego_mps(one.signals)[0]) * DT_S
+        one = world.step(one, blind)
+    return Window(np.array(gaps), np.stack(missed, axis=1))
+
+
+def model_shares(loop: Loop, window: Window, pem: Pem) -> FloatArray:
+    """P(missed) of the model at the window's frames ``[W]``."""
+    salient = loop.world.simulator.salient({"gap": window.gap_m})
+    return 1.0 / (1.0 + np.exp(pem.logit(salient)))
+
+
+def log_likelihood(
+    missed: BoolArray, shares: FloatArray, *, tau_s: float, frailty: float
+) -> FloatArray:
+    """Log probability of outcomes ``[N, W]`` with a memory, u integrated out, ``[N]`` [nats].
+
+    Args:
+        missed: Outcomes.
+        shares: P(missed) of each frame ``[W]``, within (0, 1).
+        tau_s: Memory time [s].
+        frailty: 0 for none.
+    """
+    own = -logit(shares)  # of 'detected'
+    nodes = VisibilityNodes(frailty) if frailty > 0.0 else None
+    last, total = np.zeros(len(missed)), None
+    rho = float(persistence(DT_S, tau_s))
+    for frame in range(missed.shape[1]):
+        if nodes is None:
+            pair = (
+                np.log(shares[frame : frame + 1, None]),
+                np.log1p(-shares[frame : frame + 1, None]),
+            )
+        else:
+            pair = nodes.log_outcomes(own[frame : frame + 1])
+        every = tuple(np.repeat(each, len(missed), axis=0) for each in pair)
+        miss, hit = remembered_outcomes((every[0], every[1]), last=last, rho=rho)
+        step = np.where(missed[:, frame, None], miss, hit)
+        total = step if total is None else total + step
+        last = np.where(missed[:, frame], -1.0, 1.0)
+    assert total is not None  # noqa: S101  a window has frames
+    weight = np.zeros(1) if nodes is None else nodes.log_weight
+    return log_sums(total + weight)
+
+
+def lagged(shares: FloatArray, *, tau_s: float) -> FloatArray:
+    """P(missed) of each frame ``[W]`` where outcomes before are copied, from the model's own.
+
+    m_k = (1 - rho) p_k + rho m_(k-1): the chain's marginals follow p with a delay of about tau.
+    """
+    rho, found = float(persistence(DT_S, tau_s)), shares.copy()
+    for frame in range(1, shares.size):
+        found[frame] = (1.0 - rho) * shares[frame] + rho * found[frame - 1]
+    return found
+
+
+@dataclass(frozen=True)
+class OwnMemory:
+    """What the window's outcomes say themselves, P(missed) being their own shares.
+
+    Attributes:
+        tau_s: Memory time of the greatest likelihood on the grid [s].
+        frailty: Frailty likewise.
+        all_missed: How likely all frames are missed with both.
+    """
+
+    tau_s: float
+    frailty: float
+    all_missed: float
+
+
+def own_memory(window: Window) -> OwnMemory:
+    """The memory that fits the window's own outcomes best."""
+    count = len(window.missed)
+    shares = window.shares.clip(0.5 / count, 1.0 - 0.5 / count)
+    patterns, numbers = np.unique(window.missed, axis=0, return_counts=True)
+    best, chosen = -np.inf, (0.0, 0.0)
+    for tau_s in TAUS_S:
+        for frailty in FRAILTIES:
+            told = log_likelihood(patterns, shares, tau_s=tau_s, frailty=frailty) @ numbers
+            if told > best:
+                best, chosen = told, (float(tau_s), float(frailty))
+    every = np.ones((1, shares.size), dtype=np.bool_)
+    log_p = log_likelihood(every, shares, tau_s=chosen[0], frailty=chosen[1])
+    return OwnMemory(*chosen, float(np.exp(log_p[0])))
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A prediction taken apart.
+
+    Attributes:
+        gap_m: At the frames that decide ``[W]``.
+        loop: How often each is missed in the loop ``[W]``.
+        model: P(missed) of the error model there ``[W]``.
+        lagged: What becomes of that with the memory time of both: P(missed) is late ``[W]``.
+        all_missed: How often all are, in the loop.
+        scenes: That were looked at.
+        own: What the loop's outcomes would have as their memory.
+        by_variant: How likely all are missed with the variant's memory: with the loop's shares, and
+            with the model's.
+    """
+
+    gap_m: tuple[float, ...]
+    loop: tuple[float, ...]
+    model: tuple[float, ...]
+    lagged: tuple[float, ...]
+    all_missed: float
+    scenes: int
+    own: OwnMemory
+    by_variant: dict[str, tuple[float, float]]
+
+
+def explained(
+    loop: Loop, scenes: Scenes, pem: Pem, memories: Mapping[str, tuple[float, float]]
+) -> Explained:
+    """Take apart what a model with several memories (tau [s], frailty) predicts of a window."""
+    window = decisive_window(loop, scenes)
+    count = len(window.missed)
+    own_shares = window.shares.clip(0.5 / count, 1.0 - 0.5 / count)
+    model = model_shares(loop, window, pem)
+    every = np.ones((1, window.gap_m.size), dtype=np.bool_)
+
+    def all_missed(shares: FloatArray, tau_s: float, frailty: float) -> float:
+        return float(np.exp(log_likelihood(every, shares, tau_s=tau_s, frailty=frailty)[0]))
+
+    return Explained(
+        gap_m=tuple(window.gap_m.tolist()),
+        loop=tuple(window.shares.tolist()),
+        model=tuple(model.tolist()),
+        lagged=tuple(lagged(model, tau_s=memories["both"][0]).tolist()),
+        all_missed=window.all_missed,
+        scenes=count,
+        own=own_memory(window),
+        by_variant={
+            name: (all_missed(own_shares, *memory), all_missed(model, *memory))
+            for name, memory in memories.items()
+        },
+    )

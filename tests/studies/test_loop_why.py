@@ -1,0 +1,170 @@
+"""Why a prediction is off: likelihoods of the decisive window, and intervals of the page."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import ndtr, ndtri
+
+from pemviz.config import ScenarioConfig
+from pemviz.pem.data.table import SalientTable, TrackTable
+from pemviz.pem.models.memory import Memory
+from pemviz.sampling.state.visibility import Visibility
+from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from studies.detector_in_the_loop.drifting import (
+    Drifting,
+    both_below,
+    failures,
+    fit_drifting,
+)
+from studies.detector_in_the_loop.page_words import holds, ratio_of, ratio_words
+from studies.detector_in_the_loop.predictions import Answer, mixed
+from studies.detector_in_the_loop.settings import FAR
+from studies.detector_in_the_loop.study import Truth
+from studies.detector_in_the_loop.truth import Count, exact_interval
+from studies.detector_in_the_loop.why import Window, lagged, log_likelihood, own_memory
+
+SHARES = np.array([0.9, 0.5, 0.05, 0.3])
+
+
+@pytest.mark.parametrize(("tau_s", "frailty"), [(0.0, 0.0), (0.2, 0.0), (0.0, 1.2), (0.1, 0.7)])
+def test_probabilities_of_all_courses_add_up_to_one(tau_s, frailty):
+    every = np.array(list(product([False, True], repeat=4)))
+    told = log_likelihood(every, SHARES, tau_s=tau_s, frailty=frailty)
+    assert np.exp(told).sum() == pytest.approx(1.0)
+
+
+def test_without_memory_it_is_a_product():
+    missed = np.array([[True, False, True, False]])
+    told = log_likelihood(missed, SHARES, tau_s=0.0, frailty=0.0)
+    assert np.exp(told[0]) == pytest.approx(0.9 * 0.5 * 0.05 * 0.7)
+
+
+def test_frailty_is_the_integral_over_a_normal():
+    """By Monte Carlo over u: four standard errors, false alarm 6e-5."""
+    u = np.random.default_rng(1).standard_normal(400_000)
+    moved = ndtri(SHARES) * np.sqrt(1 + 1.2**2) + 1.2 * u[:, None]
+    sampled = ndtr(moved).prod(axis=1)
+    told = np.exp(log_likelihood(np.ones((1, 4), dtype=bool), SHARES, tau_s=0.0, frailty=1.2)[0])
+    assert abs(told - sampled.mean()) < 4.0 * sampled.std() / np.sqrt(u.size)
+
+
+def test_with_both_it_is_what_runs_of_pemviz_have():
+    random = np.random.default_rng(2)
+    missed, own = random.random((50, 4)) < 0.5, -np.log(SHARES / (1 - SHARES))
+    simulator = VectorizedSimulator(ScenarioConfig(dt_s=0.1))
+    visibility = Visibility(Memory(tau_s=0.1, frailty=0.7), simulator.dt_s)
+    wanted = visibility.log_likelihood(np.tile(own, (50, 1)), ~missed)
+    told = log_likelihood(missed, SHARES, tau_s=0.1, frailty=0.7)
+    np.testing.assert_allclose(told, wanted, rtol=1e-9)
+
+
+def test_a_memory_is_found_again():
+    """Outcomes drawn with frailty 1: the grid's spacing is 0.25, its error here about 0.1."""
+    random = np.random.default_rng(3)
+    u = random.standard_normal(6000)
+    moved = ndtri(SHARES) * np.sqrt(2.0) + u[:, None]
+    missed = random.random((6000, 4)) < ndtr(moved)
+    found = own_memory(Window(np.arange(4.0), missed))
+    assert found.frailty == pytest.approx(1.0, abs=0.3)
+    assert found.tau_s < 0.05
+    assert found.all_missed == pytest.approx(missed.all(axis=1).mean(), rel=0.4)
+
+
+def truth(failed, rollouts):
+    low, high = exact_interval(failed, rollouts)
+    return Truth(failed / rollouts, low, high, "counted", Count(failed, rollouts, 0, {}))
+
+
+def test_a_prediction_over_the_truth_has_both_errors():
+    found = truth(100, 10_000)
+    exact = ratio_of(Answer(0.015, None, None, ()), found)
+    assert exact.value == pytest.approx(1.5)
+    assert (exact.low, exact.high) == pytest.approx((0.015 / found.high, 0.015 / found.low))
+    wide = ratio_of(Answer(0.015, 0.010, 0.022, ()), found)
+    assert wide.low < exact.low < exact.high < wide.high
+    assert holds(exact)
+    assert not holds(ratio_of(Answer(0.021, None, None, ()), found))
+    assert ratio_words(exact).startswith("**1.5 (")
+    assert ratio_words(ratio_of(Answer(1e-3, None, None, ()), truth(0, 1000))).startswith("over")
+
+
+def test_kinds_of_light_and_weather_count_by_their_shares():
+    one, other = Answer(0.1, 0.08, 0.12, ()), Answer(0.01, 0.00, 0.02, ())
+    both = mixed([(0.25, one), (0.75, other)])
+    assert both.probability == pytest.approx(0.0325)
+    assert both.high == pytest.approx(0.0325 + np.hypot(0.25 * 0.02, 0.75 * 0.01))
+
+
+def test_copied_outcomes_are_late():
+    """P(missed) of each frame, by enumeration of all courses of the chain."""
+    every = np.array(list(product([False, True], repeat=4)))
+    chance = np.exp(log_likelihood(every, SHARES, tau_s=0.15, frailty=0.0))
+    np.testing.assert_allclose(lagged(SHARES, tau_s=0.15), chance @ every, rtol=1e-12)
+
+
+def test_two_normals_are_both_below():
+    random = np.random.default_rng(1)
+    first, second = random.normal(0, 1.5, (2, 12))
+    correlation = np.array([0.0, 0.3, 0.8, 0.97])
+    found = both_below(first, second, correlation)
+    for place, r in enumerate(correlation):
+        law = stats.multivariate_normal(cov=[[1.0, r], [r, 1.0]])
+        wanted = [law.cdf(pair) for pair in zip(first, second, strict=True)]
+        np.testing.assert_allclose(found[place], wanted, atol=2e-5)
+
+
+def drawn_tracks(visibility, tracks, frames, random):
+    """Outcomes of tracks whose P(missed) varies from frame to frame, and its logits."""
+    quantile = random.normal(0.0, 1.0, (tracks, frames))
+    f, g, rho = visibility.frailty, visibility.drift, np.exp(-0.1 / visibility.tau_s)
+    slow = np.empty((tracks, frames))
+    slow[:, 0] = random.standard_normal(tracks)
+    for frame in range(1, frames):
+        new = random.standard_normal(tracks)
+        slow[:, frame] = rho * slow[:, frame - 1] + np.sqrt(1 - rho**2) * new
+    latent = f * random.standard_normal((tracks, 1)) + g * slow
+    latent = (latent + random.standard_normal((tracks, frames))) / np.sqrt(1 + f**2 + g**2)
+    salient = np.zeros((tracks * frames, 11))
+    obstacles = SalientTable(salient, (latent >= quantile).ravel(), source="drawn")
+    number, frame = np.repeat(np.arange(tracks), frames), np.tile(np.arange(frames), tracks)
+    table = TrackTable(obstacles, number, number * 0, frame, np.full(number.size, 10.0))
+    return table, (np.log(ndtr(-quantile)) - np.log(ndtr(quantile))).ravel()
+
+
+def test_a_drifting_visibility_is_found_again():
+    """Of 600 tracks correlations of latents are known to about 0.03; the bound is 0.1."""
+    visibility = Drifting(1.0, 1.5, 0.5)
+    tracks, logit = drawn_tracks(visibility, 600, 60, np.random.default_rng(4))
+    found, lag_s = fit_drifting(tracks, logit), np.array([0.1, 0.3, 1.0, 3.0])
+    np.testing.assert_allclose(found.correlation(lag_s), visibility.correlation(lag_s), atol=0.1)
+
+
+@dataclass(frozen=True)
+class Even:
+    """Misses with one probability everywhere."""
+
+    p: float
+
+    def logit(self, salient):
+        return np.full(salient.shape[:-1], np.log((1 - self.p) / self.p))
+
+
+def test_with_nothing_hidden_rollouts_are_independent():
+    """False alarm 6e-5: four standard errors of both counts."""
+    count, random = 40_000, np.random.default_rng(6)
+    failed = failures(
+        FAR, Even(0.75), Drifting(0.0, 0.0, 1.0), rollouts=count, seeds=np.random.SeedSequence(5)
+    )
+    states, plain = FAR.begin(np.zeros((count, 0))), np.zeros(count, dtype=bool)
+    for _ in range(FAR.simulator.states - 1):
+        states = FAR.step(states, random.random((count, 1)) >= 0.75)
+        plain |= FAR.failed(states.signals)
+    assert plain.sum() > 30
+    assert abs(failed - plain.sum()) < 4.0 * np.sqrt(failed + plain.sum())
+    hidden = failures(
+        FAR, Even(0.75), Drifting(3.0, 0.0, 1.0), rollouts=2000, seeds=np.random.SeedSequence(5)
+    )
+    assert hidden / 2000 > 3.0 * plain.mean()
