@@ -141,7 +141,8 @@ def _through(lag_s: FloatArray, found: FloatArray, weight: FloatArray) -> Drifti
     starts = [np.log([1.0, g, tau]) for g in (0.3, 1.0, 3.0) for tau in (0.15, 0.6, 2.0)]
     bounds = (np.log([0.01, 0.01, 0.03]), np.log([8.0, 8.0, 8.0]))
     tried = [least_squares(misses, start, bounds=bounds) for start in starts]
-    return of(min(tried, key=lambda one: one.cost).x)
+    least = int(np.argmin([float(one.cost) for one in tried]))
+    return of(tried[least].x)
 
 
 def failures(
