@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--share", type=float, help="of the rollouts of each setting, 0 to 1")
     parser.add_argument("--frames", type=int, nargs="+", help="labelled frames of predictions")
     parser.add_argument(
-        "--sizes", action="store_true", help="predictions with cars' sizes as features, alone"
+        "--fine", action="store_true", help="predictions from tables as they come, alone"
     )
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
@@ -49,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"[{time.monotonic() - began:6.0f} s] {words}", file=sys.stderr, flush=True)
 
     given.out.mkdir(parents=True, exist_ok=True)
-    if given.sizes:
-        predictions(given.out, effort, names=given.settings, tell=tell, sizes=True)
+    if given.fine:
+        predictions(given.out, effort, names=given.settings, tell=tell, fine=True)
         return 0
     if given.part == "detector":
         the_detector(given.out, effort, tell)

@@ -76,7 +76,8 @@ def write_frames(path: Path, detector: Detector) -> None:
         )
         images = render(scenes, frames)
         rows.append(np.concatenate(list(framed(images, detector)), axis=1))
-    Image.fromarray(np.concatenate(rows, axis=0)).save(path, optimize=True)
+    picture = Image.fromarray(np.concatenate(rows, axis=0)).quantize(128)
+    picture.save(path, optimize=True)
 
 
 def framed(images: Images, detector: Detector) -> Images:

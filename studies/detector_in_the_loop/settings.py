@@ -76,7 +76,7 @@ class Effort:
 
 WHOLE = Effort()
 QUICK = replace(
-    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(1_000, 5_000), share=0.02, scenes=300
+    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(2_000,), share=0.02, scenes=300
 )
 
 
@@ -94,8 +94,14 @@ SETTINGS = (
     Setting("middle-fair", MIDDLE, "fair", 1.2),
     Setting("middle-rain", MIDDLE, "rain", 0.6),
     Setting("middle-fog", MIDDLE, "fog", 0.0),
-    Setting("middle-rain-usual", MIDDLE, "rain", 0.0, levels_m=(16.0, 12.0, 8.0, 4.0)),
+    Setting(
+        "middle-rain-usual",
+        MIDDLE,
+        "rain",
+        0.0,
+        levels_m=(16.0, 12.0, 8.0, 4.0),
+        particles=20_000,
+    ),
     Setting("cut-in-fair", CutInWorld(), "fair", 1.2),
-    Setting("cut-in-fog", CutInWorld(), "fog", 1.2),
 )
 """All that is asked."""

@@ -18,6 +18,7 @@ from studies.detector_in_the_loop.drifting import Drifting, failures, fit_drifti
 from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
+    KIND,
     VARIANTS,
     Answer,
     Fitted,
@@ -156,7 +157,7 @@ def fitted_to(
     *,
     frames: int,
     tell: Tell,
-    sizes: bool = False,
+    fine: bool = False,
 ) -> tuple[Fitted, Path, Sequence[str], Path, Sequence[str]]:
     """The error model of a setting's detector from so many frames, checked on a fifth as many."""
     domain, data = setting.domain, folder / "labelled" / setting.domain_name
@@ -169,13 +170,13 @@ def fitted_to(
         purpose=HELD_OUT,
         tell=tell,
     )
-    models = "models-sizes" if sizes else "models"
+    models = "models-fine" if fine else "models"
     own = folder / models / f"{setting.domain_name}_{setting.strict:g}_{frames}"
     if not (own / "fitted.json").exists():
         subset(data / "train", own / "train", names)
         subset(data / "other", own / "other", others)
     threshold = setting.threshold(detector.threshold)
-    model = fitted(own / "train", own / "other", own, threshold=threshold, sizes=sizes)
+    model = fitted(own / "train", own / "other", own, threshold=threshold, fine=fine)
     return model, data / "train", names, own, others
 
 
@@ -191,11 +192,11 @@ def predicted(
     *,
     frames: int,
     tell: Tell,
-    sizes: bool = False,
+    fine: bool = False,
 ) -> list[Row]:
     """What is predicted of a setting from so many labelled frames, each variant a row."""
-    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell, sizes=sizes)
-    kept, rows = "answers-sizes" if sizes else "answers", list[Row]()
+    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell, fine=fine)
+    kept, rows = "answers-fine" if fine else "answers", list[Row]()
     answers = folder / kept / setting.name
     answers.mkdir(parents=True, exist_ok=True)
     for name in VARIANTS:
@@ -236,7 +237,7 @@ def predicted_drifting(
     )
     if not kept.exists():
         tracks = load_tracks(own / "train.csv", rate_hz=None, needs_state=True)
-        held_out = cross_fit(tracks, model="gb-raw", folds=5, seed=0, workers=1)
+        held_out = cross_fit(tracks, model=KIND, folds=5, seed=0, workers=1)
         write_text(kept, json.dumps(asdict(fit_drifting(tracks, held_out.logit))))
     visibility = Drifting(**json.loads(kept.read_text(encoding="utf-8")))
     if not out.exists():
@@ -322,21 +323,21 @@ def the_truth(
 
 
 def predictions(
-    folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, sizes: bool = False
+    folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, fine: bool = False
 ) -> list[Row]:
     """All predictions of the settings named, the fewest frames first.
 
-    With ``sizes`` from models that have the cars' sizes as features; none then knows the light.
+    With ``fine`` from tables as they come, and no others.
     """
     detector = the_detector(folder, effort, tell)
     chosen, rows = [one for one in SETTINGS if one.name in names], list[Row]()
     for frames in effort.frames:
         for setting in chosen:
-            rows += predicted(folder, setting, detector, frames=frames, tell=tell, sizes=sizes)
-    for frames in () if sizes else effort.frames:
+            rows += predicted(folder, setting, detector, frames=frames, tell=tell, fine=fine)
+    for frames in () if fine else effort.frames:
         for setting in chosen:
             rows += predicted_drifting(folder, setting, detector, frames=frames, tell=tell)
-    for setting in () if sizes else chosen:
+    for setting in () if fine else chosen:
         rows += predicted_by_kind(folder, setting, detector, frames=effort.frames[-1], tell=tell)
     return rows
 

@@ -11,6 +11,7 @@ from scipy.special import ndtr, ndtri
 from pemviz.config import ScenarioConfig
 from pemviz.pem.data.table import SalientTable, TrackTable
 from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.protocol import SALIENT_COLUMNS
 from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from studies.detector_in_the_loop.drifting import (
@@ -20,7 +21,7 @@ from studies.detector_in_the_loop.drifting import (
     fit_drifting,
 )
 from studies.detector_in_the_loop.page_words import holds, ratio_of, ratio_words
-from studies.detector_in_the_loop.predictions import Answer, mixed
+from studies.detector_in_the_loop.predictions import Answer, coarsened, mixed
 from studies.detector_in_the_loop.settings import FAR
 from studies.detector_in_the_loop.study import Truth
 from studies.detector_in_the_loop.truth import Count, exact_interval
@@ -168,3 +169,21 @@ def test_with_nothing_hidden_rollouts_are_independent():
         FAR, Even(0.75), Drifting(3.0, 0.0, 1.0), rollouts=2000, seeds=np.random.SeedSequence(5)
     )
     assert hidden / 2000 > 3.0 * plain.mean()
+
+
+def test_a_coarsened_table_has_the_scenarios_car_in_it(tmp_path):
+    """A car 0.17 m aside becomes, in every feature, the one that the scenario asks about."""
+    table = tmp_path / "tracks.csv"
+    names = [*SALIENT_COLUMNS, "detected"]
+    gap_m = 20.0
+    near = [0, 0, 0, -1.5792, 1.44, 1.8, 4.6, 0.17, 1.65, gap_m + 2.25, -1.571, 1]
+    beside = [0, 0, 0, -1.42, 1.8, 1.84, 4.5, -3.46, 1.65, 22.0, -1.5671, 0]
+    lines = [",".join(map(str, row)) for row in (near, beside)]
+    table.write_text("\n".join([",".join(names), *lines]) + "\n")
+    coarsened(table)
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    wanted = FAR.simulator.salient({"gap": np.array([gap_m])})[0]
+    np.testing.assert_allclose(rows[0, :-1], wanted, atol=1e-9)
+    x_m, z_m, rotation = rows[1, [7, 9, 10]]
+    assert (x_m, rows[1, 3]) == pytest.approx((-3.5, rotation - np.arctan2(x_m, z_m)))
+    np.testing.assert_array_equal(rows[:, -1], [1, 0])
