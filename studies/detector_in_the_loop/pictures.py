@@ -142,10 +142,10 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
         colour = colours[row.variant]
         fill = colour if holds(ratio) else "white"
         axes.plot(ratio.value, height, "o", ms=size, color=colour, mfc=fill)
-        axes.plot([max(ratio.low, 1e-9), ratio.high], [height, height], color=colour, lw=0.7)
+        axes.plot([ratio.low, ratio.high], [height, height], color=colour, lw=0.7)
     for variant, title in VARIANT_TITLES.items():
         axes.plot([], [], "o", color=colours[variant], label=title)
     axes.set(xscale="log", xlabel="prediction over truth", ylim=(len(names) - 0.4, -0.6))
     axes.set_yticks(range(len(names)), names)
-    axes.legend(fontsize=7, loc="lower left")
+    axes.legend(fontsize=7, loc="upper left")
     figure.savefig(path, dpi=100)
