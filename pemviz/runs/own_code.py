@@ -8,9 +8,10 @@ from typing import Any
 from pemviz.files.atomic import file_digest
 from pemviz.runs.experiment import Experiment
 from pemviz.runs.result import OwnSystem
+from pemviz.simulators.latents import parts_of
 
-WITHIN = ("scenario", "example", "environment")
-"""Where what wraps a system has it."""
+WRAPPING = ("pemviz", "gymnasium")
+"""Packages whose classes hold a user's."""
 
 
 def own_system(experiment: Experiment) -> OwnSystem | None:
@@ -32,10 +33,10 @@ def own_system(experiment: Experiment) -> OwnSystem | None:
 
 
 def innermost(simulator: Any) -> Any:
-    """What others' code there is beneath adapters and wrappers."""
-    part = getattr(simulator, "unwrapped", simulator)
-    inner = next((one for name in WITHIN if (one := getattr(part, name, None)) is not None), None)
-    return part if inner is None else innermost(inner)
+    """The user's own code beneath pemviz's wrappers and adapters, and gymnasium's."""
+    *parts, last = parts_of(simulator)
+    own = (part for part in parts if type(part).__module__.split(".")[0] not in WRAPPING)
+    return next(own, last)
 
 
 def _source_file(kind: type) -> Path | None:

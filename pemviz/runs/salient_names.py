@@ -12,9 +12,7 @@ import numpy as np
 from pemviz.arrays import FloatArray
 from pemviz.errors import ConfigError
 from pemviz.pem import Pem, own_features_of
-
-INSIDE = ("scenario", "example", "simulator")
-"""Attributes under which a wrapper holds the simulator itself."""
+from pemviz.simulators.latents import parts_of
 
 
 def check_salient_names(named: Pem | Mapping[str, Pem], simulator: object) -> None:
@@ -42,17 +40,9 @@ def check_salient_names(named: Pem | Mapping[str, Pem], simulator: object) -> No
 
 def _salient_names(simulator: Any) -> tuple[str, ...] | None:
     """What a simulator, or one that is wrapped in it, calls its salient variables."""
-    seen: set[int] = set()
-    while simulator is not None and id(simulator) not in seen:
-        seen.add(id(simulator))
-        names = getattr(simulator, "salient_names", None)
-        if names is not None:
-            return tuple(str(name) for name in names)
-        simulator = next(
-            (inner for name in INSIDE if (inner := getattr(simulator, name, None)) is not None),
-            None,
-        )
-    return None
+    said = (getattr(part, "salient_names", None) for part in parts_of(simulator))
+    names = next((names for names in said if names is not None), None)
+    return None if names is None else tuple(str(name) for name in names)
 
 
 def outside_training(pem: Pem, salient: FloatArray) -> Iterator[str]:

@@ -98,6 +98,11 @@ def check_simulator(simulator: AnySimulator) -> None:
     trial.check_own_randomness()
 
 
+def _shown(states: StateBatch) -> StateBatch:
+    """What a state shows, and where episodes are in one: that is another each time."""
+    return replace(states, memory=dict(kept_memory(states.memory)))
+
+
 class _Trial:
     """A simulator with the outcomes ``[COUNT, T-1]`` and latents that it is tried with."""
 
@@ -183,7 +188,11 @@ class _Trial:
         """An answer must not be for one course of random numbers, unless that is meant."""
         if fixed_randomness(self.simulator):
             return
-        alike = drawn_alike(self.simulator, lambda other: self.alone((MIXED, ALL_MISSED)[other]))
+        alike = drawn_alike(
+            self.simulator,
+            lambda other: map(_shown, self.alone((MIXED, ALL_MISSED)[other])),
+            difference=self.difference,
+        )
         if alike:
             self.complaint.refuse(f"{alike}: {RANDOM}")
 
@@ -201,7 +210,7 @@ class _Trial:
         course = list[StateBatch]()
         for step, states in enumerate(self.alone(MIXED)):
             self.check_states(states, "reset or step", step=step, count=1)
-            course.append(replace(states, memory=dict(kept_memory(states.memory))))
+            course.append(_shown(states))
         return course
 
     def check_tracks(self, start: StateBatch) -> None:

@@ -1,6 +1,6 @@
 """Scenarios with latents, those without, and what wraps them: begun and stepped the same way."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -14,6 +14,8 @@ from pemviz.types import Signal, Simulator, SimulatorFacts, StateBatch
 
 Part = TypeVar("Part")
 Value = TypeVar("Value")
+HOLDING = ("scenario", "example", "environment", "env")
+"""Attributes in which a system has what it is made of."""
 
 
 @runtime_checkable
@@ -116,6 +118,16 @@ def within(simulator: object, kind: type[Part]) -> Part | None:
     while part is not None and not isinstance(part, kind):
         part = getattr(part, "scenario", None)
     return part
+
+
+def parts_of(simulator: object) -> Iterator[Any]:
+    """A simulator and what it is made of: what wrappers wrap, episodes and adapters hold."""
+    part, seen = simulator, list[object]()
+    while part is not None and not any(part is one for one in seen):
+        yield part
+        seen.append(part)
+        inner = (getattr(part, name, None) for name in HOLDING)
+        part = next((one for one in inner if one is not None), None)
 
 
 def latent_counts(simulator: object) -> LatentCounts:

@@ -9,7 +9,7 @@ import random
 import sys
 import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
 from typing import Any
@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 
 from pemviz.errors import ConfigError
+from pemviz.simulators.latents import parts_of
 from pemviz.types import StateBatch
 
 OTHER_SEEDS = 5
 """Tried where random numbers are drawn at the start alone."""
 MOST_OBJECTS = 100_000
 """Of a simulator's, among which its generators are looked for."""
-ROUNDING = 1e-9
+ALIKE = "its random numbers are the same in every rollout"
 SEEDED = (
     (np.random, "default_rng"),
     (np.random, "seed"),
@@ -74,36 +75,38 @@ def seed_of_reset(seed: int) -> int:
 
 def fixed_randomness(simulator: object) -> bool:
     """Whether it states that its own randomness is the same in every rollout on purpose."""
-    part: Any = simulator
-    while part is not None:
-        if getattr(part, "fixed_randomness", False):
-            return True
-        part = getattr(part, "scenario", None) or getattr(part, "example", None)
-    return False
+    return any(getattr(part, "fixed_randomness", False) for part in parts_of(simulator))
 
 
-def drawn_alike(simulator: object, rollout: Callable[[int], Iterator[StateBatch]]) -> str:
+def drawn_alike(
+    simulator: object,
+    rollout: Callable[[int], Iterator[StateBatch]],
+    *,
+    difference: Callable[[StateBatch, StateBatch], str],
+) -> str:
     """What of its random numbers is the same in every rollout, in words; empty if nothing is.
 
     Args:
         simulator: As it is.
         rollout: The states ``[1]`` of a rollout, one after the other, with latents of its own by
             number (0 or 1) and always the same outcomes.
+        difference: In which two states differ, in words; empty if they do not.
     """
     (states, drawn, seeds), (_, drawn_too, seeds_too) = (
         _watched(simulator, rollout(number)) for number in range(2)
     )
     if drawn & drawn_too:
-        return "its steps draw random numbers that are the same in every rollout"
+        return f"{ALIKE}: its steps draw them"
     fixed = frozenset(seeds & seeds_too)
     for shift in range(1, OTHER_SEEDS + 1) if fixed else ():
         try:
             with _in_force(Sources(others=fixed, shift=shift)):
-                where = _difference(states, list(rollout(0)))
+                others = list(rollout(0))
         except ConfigError as error:  # it knows no other course
-            where = f"there is none: {error}"
-        if where:
-            return f"its random numbers are the same in every rollout; from another seed {where}"
+            return f"{ALIKE}; from another seed there is none: {error}"
+        for step, (one, other) in enumerate(zip(states, others, strict=True)):
+            if where := difference(one, other):
+                return f"{ALIKE}; from another seed it differs at step {step} ({where})"
     return ""
 
 
@@ -118,15 +121,6 @@ def _watched(
         in_steps = {one for one in sources.asked - at_start if one[0] != ADAPTER}
     moved = _generators((simulator, states[-1])) - generators
     return states, in_steps | moved, sources.asked
-
-
-def _difference(states: list[StateBatch], others: list[StateBatch]) -> str:
-    for step, (one, other) in enumerate(zip(states, others, strict=True)):
-        for name, values in one.signals.items():
-            value, another = float(values[0]), float(other.signals[name][0])
-            if abs(value - another) > ROUNDING * max(abs(value), abs(another)):
-                return f"{name} is {another:.6g} for {value:.6g} at step {step}"
-    return ""
 
 
 @contextmanager
@@ -186,9 +180,8 @@ def _generators(roots: Iterable[object]) -> set[Asked]:
     if torch is not None:
         found.add(("torch", repr(hash(torch.get_rng_state().numpy().tobytes()))))
     for one in _within(roots):
-        with suppress(NotImplementedError):  # the operating system's
-            state = one.getstate() if isinstance(one, random.Random) else one.state
-            found.add((type(one).__name__, _words(state)))
+        state = one.getstate() if isinstance(one, random.Random) else one.state
+        found.add((type(one).__name__, _words(state)))
     return found
 
 
@@ -208,6 +201,8 @@ def _within(roots: Iterable[object]) -> Iterator[Any]:
             continue
         seen.add(id(one))
         held.append(one)
+        if issubclass(type(one), random.SystemRandom):
+            continue  # has no state, and never gives the same again
         if issubclass(type(one), np.random.BitGenerator | random.Random):
             yield one
         elif issubclass(type(one), np.ndarray):

@@ -4,11 +4,14 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
+
 import pemviz
 from pemviz.config.toml_files import config_table, config_text
 from pemviz.runs.own_code import innermost
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.run_folder import carry_out
+from pemviz.simulators.latents import parts_of
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.simulators.test_episodic import Crossing, WalkEpisodes
 
@@ -44,3 +47,27 @@ def test_the_braking_scenario_stands_in_settings_where_it_is_run():
     changed = replace(own, scenario=pemviz.ScenarioConfig(dt_s=0.1))
     assert config_table(changed)["scenario"]["dt_s"] == 0.1
     assert pemviz.run(pemviz.build_experiment(CONFIG)).simulator is None
+
+
+def test_a_users_own_wrapper_is_what_is_named():
+    class Mine(gymnasium.Wrapper):
+        """What a user puts about an environment."""
+
+    class Holds:
+        environment = Crossing()
+
+    wrapped = gymnasium.wrappers.OrderEnforcing(Mine(Crossing()))
+    adapter = pemviz.GymnasiumEpisodes(
+        environment=wrapped, signals=(), observe=dict, states=3, dt_s=1.0
+    )
+    assert type(innermost(adapter)) is Mine
+    assert type(innermost(Holds())) is Holds
+
+
+def test_what_holds_itself_is_one_part():
+    class Loop:
+        """Its own scenario."""
+
+    loop = Loop()
+    loop.scenario = loop
+    assert list(parts_of(loop)) == [loop]

@@ -120,13 +120,17 @@ def numbers_of(column: Any) -> tuple[FloatArray, BoolArray]:
         return values / TICKS_A_SECOND[column.type.unit], wrong
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
+    is_whole = pa.types.is_integer(column.type)  # beyond 2^53 the nearest double serves
     try:
-        values = column.cast(pa.float64()).to_numpy()
-        return np.asarray(values, dtype=np.float64), np.asarray(column.is_null().to_numpy())
+        values = column.cast(pa.float64(), safe=not is_whole).to_numpy()
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-        pass
-    values, wrong = np.full(len(column), np.nan), np.zeros(len(column), dtype=np.bool_)
-    for row, cell in enumerate(column.to_pylist()):
+        return _numbers_by_cell(column.to_pylist())  # some are no numbers: it must be known which
+    return np.asarray(values, dtype=np.float64), np.asarray(column.is_null().to_numpy())
+
+
+def _numbers_by_cell(cells: Sequence[Any]) -> tuple[FloatArray, BoolArray]:
+    values, wrong = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=np.bool_)
+    for row, cell in enumerate(cells):
         try:
             values[row] = float(cell)
         except (TypeError, ValueError):
