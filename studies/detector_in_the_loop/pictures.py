@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
+from pemviz import colors
 from studies.detector_in_the_loop.camera import HEIGHT_PX, WIDTH_PX
 from studies.detector_in_the_loop.detector import Detector
 from studies.detector_in_the_loop.drives import DT_S, LANE_M
@@ -39,7 +40,12 @@ SHOWN = (
 NEAR_M = (9.0, 22.0, 45.0)
 PICTURES = 90
 SCALE = 2
-FOUND, MISSED = (60, 230, 90), (255, 60, 60)
+COLOURS = (
+    *(colors.GREY, colors.BLUE, colors.ORANGE, colors.GREEN, colors.VERMILLION, colors.BLACK),
+)
+MARKS = ("s", "v", "o", "^", "D", "P")
+"""Of the variants, in order."""
+FOUND = (60, 230, 90)
 
 
 def shown_scenes(kind: str, domain: str, count: int) -> Scenes:
@@ -105,7 +111,7 @@ def write_curve(path: Path, card: Path) -> None:
     curve = told["curve"]
     axes.plot(curve["recall"], curve["precision"], color="0.2")
     place = int(np.searchsorted(-np.array(curve["threshold"]), -told["threshold"]))
-    axes.plot(curve["recall"][place], curve["precision"][place], "o", color="tab:red")
+    axes.plot(curve["recall"][place], curve["precision"][place], "o", color=colors.VERMILLION)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=100)
@@ -123,13 +129,8 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
     axes = figure.subplots()
     axes.add_patch(Rectangle((0.5, -1), 1.5, len(names) + 1, color="0.9", zorder=0))
     axes.axvline(1.0, color="0.4", lw=0.8)
-    colours = dict(
-        zip(
-            VARIANT_TITLES,
-            ("tab:gray", "tab:blue", "tab:orange", "tab:green", "tab:red", "k"),
-            strict=True,
-        )
-    )
+    colours = dict(zip(VARIANT_TITLES, COLOURS, strict=True))
+    marks = dict(zip(VARIANT_TITLES, MARKS, strict=True))
     for row in rows:
         if row.setting not in found:
             continue
@@ -141,11 +142,12 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
         size = 3.0 + 2.0 * frames.index(row.frames)
         colour = colours[row.variant]
         fill = colour if holds(ratio) else "white"
-        axes.plot(ratio.value, height, "o", ms=size, color=colour, mfc=fill)
+        axes.plot(ratio.value, height, marks[row.variant], ms=size, color=colour, mfc=fill)
         axes.plot([ratio.low, ratio.high], [height, height], color=colour, lw=0.7)
     for variant, title in VARIANT_TITLES.items():
-        axes.plot([], [], "o", color=colours[variant], label=title)
-    axes.set(xscale="log", xlabel="prediction over truth", ylim=(len(names) - 0.4, -0.6))
+        axes.plot([], [], marks[variant], color=colours[variant], label=title)
+    axes.set(xscale="log", ylim=(len(names) - 0.4, -0.6))
+    axes.set_xlabel("prediction over truth (filled: within a factor of 2, the grey band)")
     axes.set_yticks(range(len(names)), names)
     axes.legend(fontsize=7, loc="upper left")
     figure.savefig(path, dpi=100)

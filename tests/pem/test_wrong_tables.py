@@ -1,12 +1,14 @@
 """Tables that look sound and lead to a wrong number: refused, or told of."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from pyarrow import csv, feather, parquet
 
 from pemviz.cli.main import main
 from pemviz.pem import PemError, SalientTable, load_table, save_table
 from pemviz.pem.data.collect import collect_tracks
+from pemviz.pem.data.columns import numbers_of
 from pemviz.pem.data.table import load_tracks
 from pemviz.pem.judging.cross_validation import split_folds
 from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS
@@ -245,3 +247,22 @@ def test_what_helps_where_folds_lack_an_outcome_is_said():
     two = SalientTable(rows, (sequence != 2) & (sequence != 3), "x", sequence=sequence)
     with pytest.raises(PemError, match="a fold of sequences lacks an outcome; give 2"):
         split_folds(two, folds=5)
+
+
+def test_numbers_of_every_type_and_which_cells_are_none():
+    """Nanoseconds of today are beyond 2^53, and no double holds each."""
+    nanoseconds = [1_700_000_000_000_000_001, 1_700_000_000_100_000_000]
+    stamps = pa.array(nanoseconds, pa.timestamp("ns"))
+    words = pa.array(["1.5", "two", None, "-3e2"])
+    for column, expected, wrong in (
+        (pa.array(nanoseconds, pa.int64()), np.float64(nanoseconds), []),
+        (pa.array(nanoseconds, pa.uint64()), np.float64(nanoseconds), []),
+        (stamps, np.float64(nanoseconds) / 1e9, []),
+        (words, [1.5, np.nan, np.nan, -300.0], [1, 2]),
+        (words.dictionary_encode(), [1.5, np.nan, np.nan, -300.0], [1, 2]),
+        (pa.array([True, False, None]), [1.0, 0.0, np.nan], [2]),
+        (pa.array([2, None]), [2.0, np.nan], [1]),
+    ):
+        values, none = numbers_of(pa.chunked_array([column]))
+        np.testing.assert_array_equal(values, expected)
+        assert np.flatnonzero(none).tolist() == wrong

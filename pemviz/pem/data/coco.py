@@ -8,7 +8,7 @@ name; a frame its ``frame_id`` (or ``frame_index``), else the digits that the na
 Annotations of crowds are left out.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from pemviz.pem.data.labelled_images import (
     LabelledImage,
     collect_images,
     frame_of,
+    labelled_more,
 )
 
 TRACK_KEYS = ("track_id", "instance_id")
@@ -74,7 +75,9 @@ def collect_coco(
         if entry.get("iscrowd"):
             counts.dropped += 1
             continue
-        more = dict(_scalars(entry.get("attributes")))
+        attributes: Any = entry.get("attributes")
+        inner = attributes if isinstance(attributes, dict) else {}
+        more = labelled_more(inner, without=TRACK_KEYS)
         boxes[image].append(LabelledBox(_track(entry), names[kind], found.box_px, more))
     seen = _results(detections, images, names, on_bad)
     collect_images(
@@ -134,17 +137,6 @@ def _track(entry: Mapping[str, Any]) -> str:
             if where.get(key) not in (None, "", NO_TRACK):
                 return str(where[key])
     return ""
-
-
-def _scalars(attributes: object) -> Iterator[tuple[str, str]]:
-    """Attributes that are one word or number."""
-    for name, value in attributes.items() if isinstance(attributes, dict) else ():
-        if name in TRACK_KEYS:
-            continue
-        if isinstance(value, bool):
-            yield str(name), "true" if value else "false"
-        elif isinstance(value, int | float | str) and "," not in str(value) and str(value):
-            yield str(name), str(value)
 
 
 def _results(

@@ -7,7 +7,7 @@ is wrong with which.
 
 import contextlib
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,10 @@ BLOCK_BYTES = 1 << 23
 TICKS_A_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 SHOWN = 40
 """Characters of a cell that a message repeats."""
-OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
+BY_COMMAS = (
+    " ({!r}), must be by commas; a log with others is read by 'pemviz pem collect --format log'"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +165,9 @@ def read_columns(path: Path, *needs: str) -> Columns:
         check_needs(columns.header, needs, path)
         return columns
     header = table_header(path)
-    check_csv_header(header, path)
+    if not any(header):
+        raise PemError(f"{path}: the file is empty, or begins with an empty line")
+    check_header(header, f"{path}:1", remedy=BY_COMMAS)
     check_needs(header, needs, path)
     fast = _fast_csv(path, header)
     return _csv_by_lines(path, header) if fast is None else fast
@@ -187,26 +192,28 @@ def check_needs(header: Sequence[str], needs: Sequence[str], path: Path) -> None
         raise PemError(f"{path}:1: the header lacks {', '.join(missing)}")
 
 
-def check_csv_header(header: Sequence[str], path: Path) -> None:
-    """Whether a first line is one of names between commas.
+def check_header(header: Sequence[str], where: str, *, remedy: str) -> None:
+    """Whether a line of names is one, split as it is.
+
+    Args:
+        header: The names.
+        where: File and line, for messages.
+        remedy: What to do about other separators than those that it was split by; ``{}`` is theirs.
 
     Raises:
-        PemError: It is empty, has a name twice, or has other separators; one line says which.
+        PemError: It has a name twice, or other separators; one line says which.
     """
-    if not any(header):
-        raise PemError(f"{path}: the file is empty, or begins with an empty line")
     if any("\0" in name for name in header):
-        raise PemError(f"{path}:1: holds zero bytes, as UTF-16 does; must be UTF-8 text")
+        raise PemError(f"{where}: holds zero bytes, as UTF-16 does; must be UTF-8 text")
     if len(header) == 1:
-        for separator, words in OTHER_SEPARATORS.items():
+        for separator, words in SEPARATORS.items():
             if separator in header[0]:
                 raise PemError(
-                    f"{path}:1: columns are separated by {words} ({separator!r}), must be by "
-                    "commas; a log with others is read by 'pemviz pem collect --format log'"
+                    f"{where}: columns are separated by {words}{remedy.format(separator)}"
                 )
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
-        raise PemError(f"{path}:1: column {twice!r} stands twice in the header")
+        raise PemError(f"{where}: column {twice!r} stands twice in the header")
 
 
 def _fast_csv(path: Path, header: Sequence[str]) -> Columns | None:
@@ -276,20 +283,30 @@ def _binary_columns(path: Path, needs: Sequence[str]) -> Columns:
 def _read_binary(
     path: Path, wanted: Sequence[str] | None = None, *, header_alone: bool = False
 ) -> Any:
-    import pyarrow as pa  # noqa: PLC0415  slow to import
-    from pyarrow import feather, parquet  # noqa: PLC0415
+    from pyarrow import feather, parquet  # noqa: PLC0415  slow to import
 
     if not is_file(path):
         raise PemError(f"{path}: no such file")
-    try:
-        if path.suffix == ".parquet":
-            if header_alone:
-                return parquet.read_schema(path).empty_table()
-            table: Any = parquet.read_table(path, columns=wanted)
-        else:
-            table = feather.read_table(path, columns=wanted)
+    with readable(path):
+        if path.suffix == ".parquet" and header_alone:
+            return parquet.read_schema(path).empty_table()
+        read: Any = parquet if path.suffix == ".parquet" else feather
+        table = read.read_table(path, columns=wanted)
         table.validate(full=True)  # a damaged file may point outside of itself
         return table
+
+
+@contextlib.contextmanager
+def readable(path: Path) -> Generator[None]:
+    """Let what pyarrow says of a damaged file be one line.
+
+    Raises:
+        PemError: It cannot be read.
+    """
+    import pyarrow as pa  # noqa: PLC0415  slow to import
+
+    try:
+        yield
     except (pa.ArrowException, OSError, ValueError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PemError(f"{path}: not a readable {path.suffix} file ({reason})") from None

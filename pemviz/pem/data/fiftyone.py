@@ -17,7 +17,13 @@ from pemviz.files.json_text import read_json
 from pemviz.pem.data.collect import DEFAULT_OPTIONS, CollectOptions, Progress, TrackCounts
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.kitti_labels import FARTHEST_PX, Box
-from pemviz.pem.data.labelled_images import LabelledBox, LabelledImage, collect_images, frame_of
+from pemviz.pem.data.labelled_images import (
+    LabelledBox,
+    LabelledImage,
+    collect_images,
+    frame_of,
+    labelled_more,
+)
 
 SAMPLES = "samples.json"
 OWN_KEYS = (
@@ -30,6 +36,7 @@ OWN_KEYS = (
     "tags",
     "mask",
     "mask_path",
+    "attributes",
 )
 
 
@@ -115,7 +122,7 @@ def _image(
             "writes them)"
         )
     boxes = tuple(
-        LabelledBox(_track(one), str(one.get("label", "")), sides, dict(_more(one)))
+        LabelledBox(_track(one), str(one.get("label", "")), sides, _more(one))
         for one, sides in _boxes(sample, fields[0], size, where)
     )
     found = tuple(
@@ -156,15 +163,9 @@ def _score(one: Mapping[str, Any], where: str) -> float:
     return float(score)
 
 
-def _more(one: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What else is labelled, words and numbers; of FiftyOne's own attributes their values."""
+def _more(one: Mapping[str, Any]) -> dict[str, str]:
+    """What else is labelled; of FiftyOne's own attributes their values."""
     inner: Any = one.get("attributes")
-    named = {**(inner if isinstance(inner, dict) else {}), **one}
-    for name, given in named.items():
-        value: Any = given.get("value") if isinstance(given, dict) else given
-        if name in OWN_KEYS or name == "attributes" or value is None:
-            continue
-        if isinstance(value, bool):
-            yield name, "true" if value else "false"
-        elif isinstance(value, int | float | str) and str(value) and "," not in str(value):
-            yield name, str(value)
+    named: dict[str, Any] = {**(inner if isinstance(inner, dict) else {}), **one}
+    values = {n: v.get("value") if isinstance(v, dict) else v for n, v in named.items()}
+    return labelled_more(values, without=OWN_KEYS)

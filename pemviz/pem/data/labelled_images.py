@@ -8,10 +8,11 @@ everything was missed, as COCO's own evaluation has it.
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (
@@ -64,6 +65,18 @@ class LabelledImage:
     frame: int
     boxes: tuple[LabelledBox, ...]
     found: tuple[Detection, ...]
+
+
+def labelled_more(attributes: Mapping[str, Any], *, without: Collection[str]) -> dict[str, str]:
+    """Those of a label's attributes that are one word or number, as a table's cells."""
+    found: dict[str, str] = {}
+    for name, value in attributes.items():
+        if isinstance(value, bool):
+            value = "true" if value else "false"  # noqa: PLW2901
+        text = str(value) if isinstance(value, int | float | str) else ""
+        if text and "," not in text and name not in without:
+            found[str(name)] = text
+    return found
 
 
 def frame_of(name: str, stated: object, *, where: str) -> int:

@@ -17,7 +17,7 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.json_text import parse_json
 from pemviz.files.text_files import open_text
-from pemviz.pem.data.columns import OTHER_SEPARATORS, Columns, split_cells, text_of
+from pemviz.pem.data.columns import Columns, check_header, readable, split_cells, text_of
 
 Separator = Literal[",", ";", "tab", "whitespace"]
 SEPARATORS: Mapping[Separator, str | None] = {",": ",", ";": ";", "tab": "\t", "whitespace": None}
@@ -151,27 +151,13 @@ def _text_rows(path: Path, shape: FileShape) -> Iterator[_Row]:
             cells = split_cells(line, separator)
             if not header:
                 header = tuple(cells)
-                _check_names(header, path, number, shape)
+                given = f", not by {shape.separator!r}: say which in [labels] or [detections]"
+                check_header(header, f"{path}:{number}", remedy=f"{given}, separator")
                 continue
             if len(cells) != len(header):
                 wanted = f"{len(cells)} columns where {len(header)} are needed"
                 raise PemError(f"{path}:{number}: {wanted}")
             yield _Row(number, place, header, cells)
-
-
-def _check_names(header: Sequence[str], path: Path, number: int, shape: FileShape) -> None:
-    if any("\0" in name for name in header):
-        raise PemError(f"{path}:{number}: holds zero bytes, as UTF-16 does; must be UTF-8 text")
-    if len(header) == 1:
-        for other, words in {",": "commas", **OTHER_SEPARATORS}.items():
-            if other in header[0]:
-                raise PemError(
-                    f"{path}:{number}: columns are separated by {words}, not by "
-                    f"{shape.separator!r}: say which in [labels] or [detections], separator"
-                )
-    if len(set(header)) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise PemError(f"{path}:{number}: column {twice!r} stands twice in the header")
 
 
 def _json_rows(path: Path) -> Iterator[_Row]:
@@ -205,7 +191,7 @@ def _binary_batches(path: Path, *, wanted: Collection[str], rows: int) -> Iterat
     import pyarrow as pa  # noqa: PLC0415  slow to import
 
     done = 0
-    try:
+    with readable(path):
         for batch, total in _record_batches(path, wanted, rows):
             if batch.num_rows == 0:
                 continue
@@ -217,9 +203,6 @@ def _binary_batches(path: Path, *, wanted: Collection[str], rows: int) -> Iterat
             done += batch.num_rows
             columns = Columns(path, tuple(table.column_names), table, lines, is_text=False)
             yield LogBatch(columns, done / max(total, 1))
-    except (pa.ArrowException, OSError, ValueError, LookupError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise PemError(f"{path}: not a readable {path.suffix} file ({reason})") from None
     if done == 0:
         raise PemError(f"{path}: no rows")
 
