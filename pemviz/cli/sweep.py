@@ -23,6 +23,7 @@ from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.files.atomic import write_bytes, write_text
 from pemviz.processes import usable_cpus
 from pemviz.reports.escape import printable_line
+from pemviz.reports.markdown import sections_markdown
 from pemviz.runs.workers import check_one_kind
 from pemviz.sampling.registry import ignored_note, ignored_settings
 from pemviz.sweep import tables
@@ -37,10 +38,12 @@ from pemviz.sweep.carry_out import (
 from pemviz.sweep.cluster import ClusterWorkers
 from pemviz.sweep.plan import Plan, PlannedRun, make_plan, parse_variation
 from pemviz.sweep.run_task import Keep, ModelFiles, NamedModels, model_files, models_of
+from pemviz.sweep.trade import trade_of, trade_section, trade_variation
 from pemviz.sweep.workers import LocalWorkers, Workers
 
 SCHEMA = 1
 DEFAULT_OUT = Path("sweeps")
+TRADE_PICTURE = "trade.png"
 Seeds = Annotated[int, Range(low=1, high=100_000)]
 
 PAGE = HelpPage(
@@ -53,6 +56,7 @@ Question
   --preset NAME              a shipped configuration, in place of CONFIG.toml
   --vary FIELD=VALUE,VALUE   a field of the configuration; may be repeated
   --seeds N                  seeds of each setting [1]
+  --trade RULE,RULE          which settings are not dominated between two rules
 Work
   --workers N                processes here; --scheduler ADDRESS: a cluster
 Output
@@ -62,7 +66,7 @@ Output
 Examples
   pemviz sweep --preset paper --vary alpha=0.1,0.5 --seeds 10
   pemviz sweep my.toml --vary scenario.initial_gap_m=12,15,18
-  pemviz sweep --vary method=mixture,splitting --out sweeps/methods
+  pemviz sweep my.toml --vary tracker=hits=1:3,window=3 --trade contact,braking
 Exit codes: 0 done, 2 bad input, 3 a run failed twice, or interrupted
 More: --help OPTION, such as --help vary; --help-all for everything""",
 )
@@ -78,9 +82,13 @@ class SweepArguments:
     """Shipped configuration to start from instead, as of 'pemviz record'."""
     vary: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """FIELD=VALUE,VALUE,... with any field of the configuration, such as alpha=0.05,0.1 or
-    scenario.initial_gap_m=12,15; may be given several times."""
+    scenario.initial_gap_m=12,15; may be given several times. tracker=hits=1:3,window=3:5,coast=0:1
+    is a grid of trackers (LOW:HIGH:STEP), rule=NAME,NAME runs that are of one rule each."""
     seeds: Seeds = 1
     """Seeds a setting, from the configuration's on; 1 to 100000."""
+    trade: str | None = None
+    """Two rules of the configuration, RULE,RULE: each setting is run for either, and the summary
+    says which settings are not dominated; a picture, trade.png, shows them. With one seed."""
     out: Path | None = None
     """Folder for everything; without it, one below sweeps/ that the same command finds again."""
     workers: Processes | None = None
@@ -105,9 +113,11 @@ def run(words: Sequence[str]) -> int:
     """
     arguments = parse(words)
     base = _base(arguments)
-    plan = make_plan(
-        base, [parse_variation(text) for text in arguments.vary], seeds=arguments.seeds
-    )
+    variations = [parse_variation(text) for text in arguments.vary]
+    if arguments.trade is not None:
+        varied = [one.field for one in variations]
+        variations.append(trade_variation(arguments.trade, seeds=arguments.seeds, varied=varied))
+    plan = make_plan(base, variations, seeds=arguments.seeds)
     models = {names: model_files(names) for names in {models_of(one.config) for one in plan.runs}}
     workers = _workers(arguments, plan)
     out = _out(arguments, plan)
@@ -118,8 +128,12 @@ def run(words: Sequence[str]) -> int:
         states, lost = _carry_out(
             runs, before, workers, models=models, keep=arguments.keep, quiet=arguments.json
         )
-        write_reports(out, plan, states, base=base)
-    _print(arguments, out, plan, states)
+        summary = write_reports(out, plan, states, base=base, is_trade=arguments.trade is not None)
+    if arguments.json:
+        document = {"schema": SCHEMA, "out": str(out), "runs": tables.rows(plan, states)}
+        print(json.dumps(document, allow_nan=False))
+    else:
+        print(f"{summary}\nsweep folder: {out}")
     return _judge(states, out=out, lost=lost)
 
 
@@ -151,9 +165,14 @@ def ignored_notes(plan: Plan) -> tuple[str, ...]:
 
 
 def write_reports(
-    out: Path, plan: Plan, states: Sequence[RunState], *, base: ExperimentConfig
-) -> None:
-    """Write table, summary and overview recording, each whole or not at all.
+    out: Path,
+    plan: Plan,
+    states: Sequence[RunState],
+    *,
+    base: ExperimentConfig,
+    is_trade: bool = False,
+) -> str:
+    """Write table, summary and overview recording, each whole or not at all; gives the summary.
 
     Raises:
         RunError: One of them cannot be written.
@@ -161,14 +180,31 @@ def write_reports(
     from pemviz.sweep.overview import write_overview  # noqa: PLC0415  rerun is slow to import
 
     table = tables.rows(plan, states)
+    summary = tables.summary_markdown(plan, states)
     try:
+        if is_trade:
+            summary += f"\n{_write_trade(out, plan, states)}"
         write_text(out / "sweep.csv", tables.csv_text(plan, table))
         write_bytes(out / "sweep.parquet", tables.parquet_bytes(plan, table))
-        write_text(out / "summary.md", tables.summary_markdown(plan, states))
-        write_overview(out / "sweep.rrd", plan, states, base=base)
+        write_text(out / "summary.md", summary)
+        write_overview(out / "sweep.rrd", plan, states, base=base, summary=summary)
     except OSError as error:
         message = f"out = {out}: cannot be written ({error.strerror or error})"
         raise RunError(message) from error
+    return summary
+
+
+def _write_trade(out: Path, plan: Plan, states: Sequence[RunState]) -> str:
+    """Write the picture of the trade between the two rules that are varied last; gives its page."""
+    from pemviz.sweep.trade_picture import trade_png  # noqa: PLC0415  matplotlib is slow to import
+
+    first, second = map(str, plan.variations[-1].values)
+    trade = trade_of(states, (first, second))
+    page = sections_markdown([trade_section(trade)], level=2)
+    if (picture := trade_png(trade)) is not None:
+        write_bytes(out / TRADE_PICTURE, picture)
+        page.append(f"![Both rules over all settings]({TRADE_PICTURE})")
+    return "\n\n".join(page) + "\n"
 
 
 def _base(arguments: SweepArguments) -> ExperimentConfig:
@@ -235,15 +271,6 @@ def _carry_out(
             except RunError as error:
                 lost = str(error)
     return [states[state.planned.name] for state in before], lost
-
-
-def _print(arguments: SweepArguments, out: Path, plan: Plan, states: Sequence[RunState]) -> None:
-    if arguments.json:
-        document = {"schema": SCHEMA, "out": str(out), "runs": tables.rows(plan, states)}
-        print(json.dumps(document, allow_nan=False))
-    else:
-        print(tables.summary_markdown(plan, states))
-        print(f"sweep folder: {out}")
 
 
 def _judge(states: Sequence[RunState], *, out: Path, lost: str | None) -> int:

@@ -1,5 +1,10 @@
-"""A tracker as it is written in options and files: ``none``, or ``2/3,coast=0.5,filter=kalman``."""
+"""A tracker as it is written in options and files: ``none``, or ``2/3,coast=0.5,filter=kalman``.
 
+Many at once, for a sweep, are ``hits=1:3,window=3:5,coast=0:1:0.5``.
+"""
+
+import itertools
+import math
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
@@ -82,6 +87,63 @@ def read_tracker(text: str) -> TrackerSettings | None:
             option = name.replace("_", "-")
             raise ConfigError(f"{where}: {option} is no option of filter {settings.filter}")
     return settings
+
+
+GRID_BEGINS = "hits="
+MOST_OF_A_RANGE = 1000
+ROUNDING = 1e-9
+"""Of a range's steps: an end that is missed by so little of one is still in it."""
+
+
+def tracker_grid(text: str) -> tuple[str, ...]:
+    """Every tracker of ``hits=1:3,window=3:5,coast=0:1:0.5``, as :func:`read_tracker` takes them.
+
+    ``LOW:HIGH`` are values 1 apart, ``LOW:HIGH:STEP`` others; what stands without a colon is as it
+    is. Settings of more hits than outcomes are left out. One hit confirms whatever the window is,
+    so that of trackers of one hit the first window's alone is there.
+
+    Raises:
+        ConfigError: One line: what is wrong, and what is allowed.
+    """
+    where = f"tracker = {shown(text)}"
+    ranges: dict[str, tuple[str, ...]] = {}
+    for word in text.split(","):
+        name, equals, listed = (part.strip() for part in word.partition("="))
+        if not equals or name in ranges:
+            raise ConfigError(f"{where}: {shown(word)} must be NAME=VALUE or NAME=LOW:HIGH, once")
+        ranges[name] = _range_values(listed, where=where)
+    if "window" not in ranges:
+        raise ConfigError(f"{where}: window is missing: must say hits=..., window=...")
+    found: dict[str, None] = {}
+    for values in itertools.product(*ranges.values()):
+        given = dict(zip(ranges, values, strict=True))
+        hits, window = given.pop("hits"), given.pop("window")
+        if hits == "1":
+            window = ranges["window"][0]
+        one = ",".join((f"{hits}/{window}", *(f"{n}={v}" for n, v in given.items())))
+        if not (hits.isdecimal() and window.isdecimal() and int(hits) > int(window)):
+            read_tracker(one)
+            found[one] = None
+    if not found:
+        raise ConfigError(f"{where}: all have more hits than outcomes in their window")
+    return tuple(found)
+
+
+def _range_values(listed: str, *, where: str) -> tuple[str, ...]:
+    """The values of ``LOW:HIGH:STEP``, both ends included; others as they are."""
+    if ":" not in listed:
+        return (listed,)
+    try:
+        low, high, step = (*map(float, listed.split(":")), 1.0)[:3]
+    except ValueError:
+        low, high, step = 0.0, -1.0, 1.0
+    count = math.floor((high - low) / step + ROUNDING) + 1 if step > 0.0 <= high - low else 0
+    if not 0 < count <= MOST_OF_A_RANGE or listed.count(":") > 2:
+        raise ConfigError(
+            f"{where}: {shown(listed)} must be LOW:HIGH or LOW:HIGH:STEP, rising, of at most "
+            f"{MOST_OF_A_RANGE} values"
+        )
+    return tuple(f"{low + place * step:.9g}" for place in range(count))
 
 
 def _value(name: str, word: str) -> Any:

@@ -18,15 +18,15 @@ from pemviz.reports.estimate_words import interval_text, level_text, number_text
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import Plan, setting_label, value_text
-from pemviz.sweep.tables import by_setting, summary_markdown
+from pemviz.sweep.tables import by_setting
 
 MOST_ROWS = 2000
 
 
 def write_overview(
-    path: Path, plan: Plan, states: Sequence[RunState], *, base: ExperimentConfig
+    path: Path, plan: Plan, states: Sequence[RunState], *, base: ExperimentConfig, summary: str
 ) -> None:
-    """Write the recording; whole or not at all.
+    """Write the recording, with the summary's page; whole or not at all.
 
     Raises:
         OSError: It cannot be put in its place.
@@ -40,7 +40,7 @@ def write_overview(
         for setting, of_it in by_setting(states).items()
     ]
     texts = SweepTexts(
-        summary=summary_markdown(plan, states),
+        summary=summary,
         runs=_runs_page(plan, states),
         settings=_settings_page(plan, base),
     )

@@ -12,7 +12,9 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import allows_none, check_value, optional_value
+from pemviz.config.settings import conjunction
 from pemviz.config.toml_files import config_text
+from pemviz.config.tracker_text import GRID_BEGINS, tracker_grid
 from pemviz.errors import ConfigError, InputError
 from pemviz.runs.experiment import build_experiment
 
@@ -22,6 +24,9 @@ Setting = tuple[tuple[str, Value], ...]
 BRACKETS = {"(": ")", "[": "]"}
 TRUTH = {"true": True, "false": False}
 MAXIMUM_RUNS = 100_000
+RULE = "rule"
+"""Varied as if it were a field: runs that are of one rule each."""
+TRACKER = "scenario.tracker"
 HASH_DIGITS = 10
 NAME_LENGTH = 120
 VALUE_LENGTH = 24
@@ -106,7 +111,10 @@ def make_plan(base: ExperimentConfig, variations: Sequence[Variation], *, seeds:
         chosen = tuple(zip(names, values, strict=True))
         config = base
         for name, value in chosen:
-            config = _replaced(config, name.split("."), value)
+            if name == RULE:
+                config = _with_rule(config, str(value))
+            else:
+                config = _replaced(config, name.split("."), value)
         setting = tuple((name, value) for name, value in chosen if name != "seed")
         digests = _checked_digests(config, chosen)
         for number in range(seeds):
@@ -120,6 +128,16 @@ def _replaced(instance: Any, path: list[str], value: Value) -> Any:
     name, *below = path
     inner = _replaced(getattr(instance, name), below, value) if below else value
     return replace(instance, **{name: inner})
+
+
+def _with_rule(config: ExperimentConfig, name: str) -> ExperimentConfig:
+    """The same of one of its rules alone: its proposals and its budget are then for this rule."""
+    rules = tuple(rule for rule in config.rules if rule.name == name)
+    if not rules:
+        known = ", ".join(rule.name for rule in config.rules) or "none"
+        message = f"rule {name!r}: the configuration has no such rule; it has {known}"
+        raise ConfigError(message)
+    return replace(config, rules=rules, spec=conjunction(rules))
 
 
 def _checked_digests(config: ExperimentConfig, chosen: Setting) -> tuple[str, str | None]:
@@ -163,7 +181,7 @@ def value_text(value: Value) -> str:
 @cache
 def field_annotations() -> Mapping[str, object]:
     """Annotation by dotted name of every field of a configuration that holds one value."""
-    return _annotations(ExperimentConfig, prefix="")
+    return {**_annotations(ExperimentConfig, prefix=""), RULE: str}
 
 
 def _annotations(kind: Any, *, prefix: str) -> dict[str, object]:
@@ -188,7 +206,8 @@ def value_type(annotation: object) -> type | None:
 def parse_variation(text: str) -> Variation:
     """The field and values of ``FIELD=V1,V2,...``.
 
-    A comma inside brackets or double quotes is part of a value.
+    A comma inside brackets or double quotes is part of a value. ``tracker`` takes a grid, too, as
+    :func:`~pemviz.config.tracker_text.tracker_grid` reads it.
 
     Raises:
         ConfigError: There is no such field, or a value is not allowed in it.
@@ -198,6 +217,10 @@ def parse_variation(text: str) -> Variation:
     if not equals or not name:
         message = f"vary {text!r}: must be FIELD=VALUE,VALUE,..."
         raise ConfigError(message)
+    if name in ("tracker", TRACKER):
+        name = TRACKER
+        if listed.strip().startswith(GRID_BEGINS):
+            return Variation(field=name, values=tracker_grid(listed.strip()))
     if name not in field_annotations():
         raise ConfigError(_unknown(name, list(field_annotations())))
     annotation = field_annotations()[name]
