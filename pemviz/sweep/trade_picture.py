@@ -34,9 +34,7 @@ def trade_png(trade: Trade) -> bytes | None:
     axes.set_yscale("log")
     axes.set_xlabel(f"P({trade.rules[0]} broken)")
     axes.set_ylabel(f"P({trade.rules[1]} broken)")
-    axes.set_title(
-        "Better is to the left and down; bars: 95 % intervals of sampling", loc="left"
-    )
+    axes.set_title("Better is to the left and down; bars: 95 % intervals of sampling", loc="left")
     axes.grid(visible=True, which="major", color="#e4e7eb")
     axes.set_axisbelow(True)
     figure.legend(loc="outside lower left", ncols=3, frameon=False, fontsize=9)
