@@ -13,7 +13,7 @@ import tyro
 
 from pemviz.cli.main import COMMANDS
 from pemviz.cli.parsing import parse_arguments
-from pemviz.cli.pem.command import ACTIONS
+from pemviz.cli.pem.command import ACTIONS, module_of
 from pemviz.errors import EXIT_DONE
 
 DESCRIPTION = (
@@ -63,7 +63,7 @@ def argument_kinds() -> dict[str, Any]:
         name: _named(command.arguments) for name, command in COMMANDS.items() if command.arguments
     }
     actions = {
-        action: _named(f"pemviz.cli.pem.{action}:{kind}") for action, (kind, _) in ACTIONS.items()
+        action: _named(f"{module_of(action)}:{kind}") for action, (kind, _) in ACTIONS.items()
     }
     return {**kinds, "pem": actions}
 

@@ -24,6 +24,13 @@ from pemviz.faults import exception_text
 from pemviz.files.atomic import is_file, write_bytes
 from pemviz.files.json_text import parse_json
 from pemviz.files.shipped import asset_path
+from pemviz.pem.models.binned_position_errors import (
+    BIN_DEVIATIONS,
+    BIN_MEANS,
+    BIN_SENSOR,
+    BINS,
+    BinnedPositionErrors,
+)
 from pemviz.pem.models.cards import Carded, PemCard, card_from_mapping, position_card_from_mapping
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.network import (
@@ -258,7 +265,24 @@ class _Stored:
         _exactly(self.tensors, {"table.distance_m", "table.logit"}, where=self.where)
         distance_m = as_double(self.tensors["table.distance_m"])
         logit = as_double(self.tensors["table.logit"])
-        return TabulatedPem(self.card, distance_m, logit, self.options.get("between", ""))
+        return TabulatedPem(
+            self.card,
+            distance_m,
+            logit,
+            self.options.get("between", ""),
+            measure=self.options.get("measure", "ahead"),
+            sensor_ahead_m=self._number("sensor_ahead_m") or 0.0,
+            tau_s=self._number("tau_s"),
+        )
+
+    def _number(self, name: str) -> float | None:
+        """An option that is a number; ``None`` where there is none."""
+        value: object = self.options.get(name)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise PemError(f"{self.where}: metadata option {name!r} must be a number")
+        return float(value)
 
     def ensemble(self) -> EnsemblePem:
         grouped: dict[str, dict[str, AnyArray]] = {}
@@ -399,15 +423,22 @@ def load_position_errors(name_or_path: str) -> PositionErrorModel:
     axes = tuple(axis(name) for name in header["axes"])
     (near, far), (left, right) = taken("ends", (2, 2)).tolist()
     correlation = taken("correlation", (len(axes), len(axes)))
+    bins: list[FloatArray] = []
+    if BINS in tensors:
+        count = tensors[BINS].shape[:1][0] if tensors[BINS].ndim else 0
+        shapes = {BINS: (count,), BIN_MEANS: (count, len(axes)), BIN_DEVIATIONS: (count, len(axes))}
+        bins = [taken(name, shape) for name, shape in shapes.items()]
+        bins.append(taken(BIN_SENSOR, (1,)))
     if tensors:
         raise PemError(f"{where}: unknown tensors {sorted(tensors)}")
     try:
-        return PositionErrorModel(
+        model = PositionErrorModel(
             axes=axes,
             correlation=correlation,
             distance_m=(near, far),
             bearing_rad=(left, right),
             card=position_card_from_mapping(header["card"], where=where),
         )
+        return BinnedPositionErrors.of(model, *bins) if bins else model
     except PemError as error:
         raise PemError(f"{where}: {str(error).removeprefix(f'{where}: ')}") from None

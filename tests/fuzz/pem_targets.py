@@ -7,6 +7,8 @@ from safetensors.numpy import load
 
 from pemviz.pem import ensemble_of, load_pem, save_pem, support_of
 from pemviz.pem.data.support import support_check
+from pemviz.pem.exchange.autoware import read_noise
+from pemviz.pem.exchange.binned_models import miss_model, position_model
 from pemviz.pem.model_files import METADATA_KEY, read_tensors
 from pemviz.pem.models.cards import card_markdown
 from pemviz.pem.models.network import NetworkPem
@@ -58,6 +60,18 @@ def read_csv_model(case: Case) -> None:
     _sound(case, load_pem(str(path)), written=True)
 
 
+def read_noise_parameters(case: Case) -> None:
+    """Noise parameters of scenario_simulator_v2."""
+    path = case.folder / "noise.yaml"
+    path.write_bytes(text_bytes(case.rng, case.valid.noise, [case.valid.noise, "&a [*a]", "1e999"]))
+    for one in read_noise(path).configurations:
+        pem = miss_model(one, {}, name="noise", sensor_ahead_m=0.0)
+        errors = position_model(one, {}, name="noise", sensor_ahead_m=0.0)
+        _sound(case, pem, written=True)
+        if errors is not None:
+            assert np.isfinite(errors.error(ROWS, np.ones((len(ROWS), 2)))).all()
+
+
 TARGETS = (
     *(
         Target(f"pem-{kind}", partial(read_model, kind=kind), weight)
@@ -71,4 +85,5 @@ TARGETS = (
         )
     ),
     Target("pem-csv", read_csv_model, 5),
+    Target("pem-noise", read_noise_parameters, 2),
 )

@@ -12,8 +12,10 @@ from safetensors.numpy import save
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.toml_files import config_text
-from pemviz.pem import PemCard, load_pem, save_pem, save_table
+from pemviz.pem import PemCard, load_pem, load_position_errors, save_pem, save_table
 from pemviz.pem.data.support import summarise_support
+from pemviz.pem.exchange.autoware import NoiseFile, configuration_of, noise_yaml
+from pemviz.pem.exchange.averages import averages, fixed_obstacles
 from pemviz.pem.models.ensemble import EnsemblePem
 from pemviz.pem.models.network import PAPER_INPUTS, Layer, NetworkPem
 from pemviz.pem.models.tabulated import TabulatedPem
@@ -114,6 +116,14 @@ class ValidFiles:
             contents[name] = path.read_bytes()
         contents["authors"] = save(authors_tensors(), metadata={"source": "made up"})
         return contents
+
+    @cached_property
+    def noise(self) -> str:
+        """Noise parameters of scenario_simulator_v2."""
+        pem, errors = load_pem("lr"), load_position_errors("pointrcnn")
+        obstacles = fixed_obstacles((20.0,), sensor_ahead_m=0.0)
+        table = averages(pem, obstacles, edges_m=(20.0,), errors=errors)
+        return noise_yaml(NoiseFile((configuration_of(table, subtype="CAR"),)))
 
     @cached_property
     def table(self) -> str:

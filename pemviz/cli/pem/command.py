@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from keyword import iskeyword
 from typing import Any
 
 from pemviz.cli.help import HelpPage
@@ -17,7 +18,14 @@ ACTIONS = {
     "memory": ("MemoryArguments", "how misses follow each other on video; are they independent?"),
     "check": ("CheckArguments", "does a model give tracks like those that were observed?"),
     "show": ("ShowArguments", "draw P(missed) against distance"),
+    "export": ("ExportArguments", "for Autoware's scenario simulator, or as a plain table"),
+    "import": ("ImportArguments", "noise parameters of that simulator as a model"),
 }
+
+
+def module_of(action: str) -> str:
+    """The module of an action; no module can be imported that is called import."""
+    return f"pemviz.cli.pem.{action}{'_' * iskeyword(action)}"
 
 
 def run(words: Sequence[str]) -> int:
@@ -33,7 +41,7 @@ def run(words: Sequence[str]) -> int:
         guess = did_you_mean(words[0], ACTIONS)
         message = f"pem {words[0]!r}: must be one of {', '.join(ACTIONS)}{guess}"
         raise InputError(message)
-    module = import_module(f"pemviz.cli.pem.{words[0]}")
+    module = import_module(module_of(words[0]))
     kind: type[Any] = getattr(module, ACTIONS[words[0]][0])
     carry_out: Callable[[Any], int] = module.run
     page: HelpPage | None = getattr(module, "PAGE", None)

@@ -1,0 +1,1 @@
+"""Fitted error models as the tables that other simulators take, and back."""
