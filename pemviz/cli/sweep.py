@@ -100,6 +100,8 @@ class SweepArguments:
     keep: Keep = "results"
     """What is kept of a run: config.toml and result.json, or all, rollouts, proposals and
     recording too."""
+    allow_python: bool = False
+    """Allow error models named module:attribute, which runs that module's code, in workers too."""
     json: bool = False
     """Print the table as one JSON object and nothing else."""
 
@@ -117,8 +119,11 @@ def run(words: Sequence[str]) -> int:
     if arguments.trade is not None:
         varied = [one.field for one in variations]
         variations.append(trade_variation(arguments.trade, seeds=arguments.seeds, varied=varied))
-    plan = make_plan(base, variations, seeds=arguments.seeds)
-    models = {names: model_files(names) for names in {models_of(one.config) for one in plan.runs}}
+    plan = make_plan(base, variations, seeds=arguments.seeds, allow_python=arguments.allow_python)
+    models = {
+        names: model_files(names, allow_python=arguments.allow_python)
+        for names in {models_of(one.config) for one in plan.runs}
+    }
     workers = _workers(arguments, plan)
     out = _out(arguments, plan)
     for note in ignored_notes(plan):

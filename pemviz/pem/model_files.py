@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -21,7 +21,7 @@ from pemviz.arrays import AnyArray, FloatArray
 from pemviz.config.ranges import did_you_mean
 from pemviz.errors import PemError
 from pemviz.faults import exception_text
-from pemviz.files.atomic import is_file, write_bytes
+from pemviz.files.atomic import file_digest, is_file, write_bytes
 from pemviz.files.json_text import parse_json
 from pemviz.files.shipped import asset_path
 from pemviz.pem.models.binned_position_errors import (
@@ -42,7 +42,14 @@ from pemviz.pem.models.network import (
 )
 from pemviz.pem.models.own_features import features_from_json
 from pemviz.pem.models.position_errors import ErrorAxis, NoiseMemory, PositionErrorModel
-from pemviz.pem.models.protocol import Pem, PemEnsemble, as_double
+from pemviz.pem.models.protocol import (
+    DetectorModel,
+    OwnPem,
+    Pem,
+    PemEnsemble,
+    as_double,
+    as_pem,
+)
 from pemviz.pem.models.tabulated import TabulatedPem, load_csv
 from pemviz.pem.models.trees import FEATURES, OWN, FeatureSet, OwnSet, TreesPem, seen_names
 
@@ -82,7 +89,8 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
     Args:
         name_or_path: a name of shipped_pems(); or a path to ``.safetensors`` (ours or the
             authors' format) or ``.csv`` (columns distance_m and p_detected); or, if allowed,
-            ``module:attribute``, where a class or function without arguments is called.
+            ``module:attribute``, where a class or function without arguments is called. What it
+            gives needs ``logit`` alone; without a digest of its own it has that of its module.
         allow_python: whether code of the user's may run.
 
     Raises:
@@ -95,7 +103,7 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
         return load_file(path)
     if path.suffix == ".csv":
         return load_csv(path)
-    if _OBJECT_NAME.fullmatch(name_or_path):
+    if is_python(name_or_path):
         return _load_object(name_or_path, allowed=allow_python)
     if is_file(path):
         raise PemError(f"{path}: not a {SUFFIX} or .csv file; torch and pickle files are refused")
@@ -104,6 +112,11 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
         f"a path to {SUFFIX} or .csv, or an allowed module:attribute"
         f"{did_you_mean(name_or_path, shipped_pems())}"
     )
+
+
+def is_python(name_or_path: str) -> bool:
+    """Whether it names an object of a module, ``module:attribute``."""
+    return _OBJECT_NAME.fullmatch(name_or_path) is not None
 
 
 def _load_object(text: str, *, allowed: bool) -> Pem:
@@ -115,19 +128,25 @@ def _load_object(text: str, *, allowed: bool) -> Pem:
         )
     module_name, attribute = text.split(":")
     try:
-        model: object = import_module(module_name)
+        module = import_module(module_name)
+        model: object = module
         for part in attribute.split("."):
             model = getattr(model, part)
         # A class passes for a model by its attributes: it is an instance that answers.
-        if isinstance(model, type) or (not isinstance(model, Pem) and callable(model)):
+        if isinstance(model, type) or (not hasattr(model, "logit") and callable(model)):
             model = model()
     except BaseException as error:  # the user's code may raise anything
-        raise PemError(f"{text!r} cannot be imported: {exception_text(error)}") from error
-    if not isinstance(model, Pem):
-        raise PemError(
-            f"{text!r} is no perception error model: it needs name, digest, data, licence, logit"
-        )
-    return model
+        here = isinstance(error, ModuleNotFoundError) and is_file(Path(f"{error.name}.py"))
+        hint = "; PYTHONPATH=. before the command has Python look in this folder" * here
+        raise PemError(f"{text!r} cannot be imported: {exception_text(error)}{hint}") from error
+    try:
+        pem = as_pem(cast("DetectorModel", model))
+    except PemError as error:
+        raise PemError(f"{text!r} is no perception error model: {error}") from error
+    source = getattr(module, "__file__", None)
+    if not isinstance(pem, OwnPem) or source is None or not Path(source).is_file():
+        return pem
+    return replace(pem, digest=file_digest(Path(source)))  # an edited module is another model
 
 
 def load_ensemble(name_or_path: str) -> PemEnsemble:

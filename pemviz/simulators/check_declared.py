@@ -74,8 +74,8 @@ class Complaint:
 
 def check_facts(simulator: Any, complaint: Complaint) -> None:
     """Name, sizes, and signals with names and keys of their own."""
-    if not simulator.name.strip():
-        Complaint("simulator").refuse("name is empty")
+    if not isinstance(simulator.name, str) or not simulator.name.strip():
+        Complaint("simulator").refuse(f"name = {simulator.name!r}: must be a text")
     if simulator.states < 2:  # one decision and what it leads to
         complaint.refuse(f"states = {simulator.states}: must be at least 2")
     if not 0.0 < simulator.dt_s < np.inf:

@@ -6,7 +6,8 @@ A package registers one in its ``pyproject.toml``::
     my-simulator = "my_package.simulation:build"
 
 where ``build`` takes a :class:`pemviz.config.ScenarioConfig`, or nothing if it has no use for
-one, and returns a :class:`pemviz.types.Simulator`.
+one, and returns a :class:`pemviz.types.Simulator`. A class serves too, such as a dataclass: it is
+handed the scenario if its first argument is called ``scenario``, is annotated so or has no default.
 """
 
 import inspect
@@ -126,10 +127,18 @@ def build_encounter_simulator(
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:
+    """What the factory makes: of the scenario, unless all that it takes has defaults of its own."""
     try:
-        inspect.signature(factory).bind(scenario)
-    except TypeError:
-        return factory()
+        parameters = inspect.signature(factory).parameters.values()
     except ValueError:  # built in, without a signature
-        pass
-    return factory(scenario)
+        return factory(scenario)
+    taken = [
+        one for one in parameters if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+    ]
+    if not taken:
+        takes_scenario = any(one.kind is one.VAR_POSITIONAL for one in parameters)
+    else:
+        first = taken[0]
+        asked = first.name == "scenario" or "ScenarioConfig" in str(first.annotation)
+        takes_scenario = asked or first.default is first.empty
+    return factory(scenario) if takes_scenario else factory()

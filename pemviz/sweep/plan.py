@@ -82,13 +82,20 @@ class Plan:
         return hashlib.sha256(names.encode()).hexdigest()[:HASH_DIGITS]
 
 
-def make_plan(base: ExperimentConfig, variations: Sequence[Variation], *, seeds: int = 1) -> Plan:
+def make_plan(
+    base: ExperimentConfig,
+    variations: Sequence[Variation],
+    *,
+    seeds: int = 1,
+    allow_python: bool = False,
+) -> Plan:
     """The sweep's runs, each checked as far as that goes without simulating.
 
     Args:
         base: What every run starts from.
         variations: Which fields take which values.
         seeds: Every setting is run with this many seeds, from the base's on.
+        allow_python: Whether an error model may be ``module:attribute``, whose code then runs.
 
     Raises:
         InputError: A field is varied twice, there are too many runs, or one of them asks for
@@ -116,7 +123,7 @@ def make_plan(base: ExperimentConfig, variations: Sequence[Variation], *, seeds:
             else:
                 config = _replaced(config, name.split("."), value)
         setting = tuple((name, value) for name, value in chosen if name != "seed")
-        digests = _checked_digests(config, chosen)
+        digests = _checked_digests(config, chosen, allow_python=allow_python)
         for number in range(seeds):
             seeded = replace(config, seed=config.seed + number)
             seeded.validate()
@@ -140,10 +147,12 @@ def _with_rule(config: ExperimentConfig, name: str) -> ExperimentConfig:
     return replace(config, rules=rules, spec=conjunction(rules))
 
 
-def _checked_digests(config: ExperimentConfig, chosen: Setting) -> tuple[str, str | None]:
+def _checked_digests(
+    config: ExperimentConfig, chosen: Setting, *, allow_python: bool
+) -> tuple[str, str | None]:
     """Build the experiment, as a run will, and tell which error model and errors it uses."""
     try:
-        experiment = build_experiment(config)
+        experiment = build_experiment(config, allow_python=allow_python)
     except InputError as error:
         if not chosen:
             raise

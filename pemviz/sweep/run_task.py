@@ -17,7 +17,13 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_from_table, config_text
 from pemviz.errors import InputError, RunError
 from pemviz.files.atomic import write_bytes
-from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, shipped_pems, shipped_position_errors
+from pemviz.pem.model_files import (
+    ENSEMBLE_ENDING,
+    SUFFIX,
+    is_python,
+    shipped_pems,
+    shipped_position_errors,
+)
 from pemviz.processes import ONE_THREAD
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import build_experiment
@@ -37,10 +43,14 @@ ONE_RUN_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Names and contents, for workers that do not see this disk; none of a shipped model."""
+    """Names and contents, for workers that do not see this disk; none of a shipped model.
+
+    ``allow_python``: The error model may be ``module:attribute``, whose module a worker must have.
+    """
 
     pem: Files = ()
     position_errors: Files = ()
+    allow_python: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,15 +83,17 @@ def models_of(config: ExperimentConfig) -> NamedModels:
     return config.pem, config.position_errors
 
 
-def model_files(models: NamedModels) -> ModelFiles:
+def model_files(models: NamedModels, *, allow_python: bool = False) -> ModelFiles:
     """The files that a configuration names: the models, and the error model's ensemble beside it.
+
+    With ``allow_python`` an error model of the user's own code has none.
 
     Raises:
         InputError: They cannot be read.
     """
     pem, errors = models
-    sent = ModelFiles()
-    if pem not in shipped_pems():
+    sent = ModelFiles(allow_python=allow_python)
+    if pem not in shipped_pems() and not is_python(pem):
         path = Path(pem)
         stem = path.stem.removesuffix(ENSEMBLE_ENDING)
         partner = path.with_name(f"{stem}{ENSEMBLE_ENDING}{SUFFIX}")
@@ -141,7 +153,8 @@ def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
     if task.model.position_errors:
         path = _written(task.model.position_errors, temporary / "position-errors")
         named = replace(named, position_errors=path)
-    experiment = replace(build_experiment(named), config=config)
+    experiment = build_experiment(named, allow_python=task.model.allow_python)
+    experiment = replace(experiment, config=config)
     _use_one_thread()
     recorders: list[Observer] = []
     if task.keep == "all":

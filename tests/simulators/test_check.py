@@ -50,7 +50,8 @@ def raising(states, detected):
 GAP = Signal(name="gap", key="gap_m", unit="m", low=0.0, high=9.0)
 
 WRONG = {
-    "name is empty": Bent(name=" "),
+    "name = ' ': must be a text": Bent(name=" "),
+    "name = 3: must be a text": Bent(name=3),
     "states = 1": Bent(states=1),
     "dt_s = nan": Bent(dt_s=float("nan")),
     "signals is empty": Bent(signals=()),

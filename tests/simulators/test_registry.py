@@ -37,6 +37,16 @@ def by_scenario(scenario):
     return Faster(scenario)
 
 
+@dataclass(frozen=True)
+class Settled(ToySimulator):
+    name: str = "settled"
+    states: int = 13
+
+
+def annotated(given: "ScenarioConfig | None" = None):
+    return ToySimulator(states=5 if given is None else given.states)
+
+
 def failing(scenario):
     raise ValueError(f"no licence\\nfor {scenario.states} states")
 
@@ -50,6 +60,8 @@ NOT_CALLABLE = 3
 NAMES = {
     "lattice": "lattice",
     "faster": "by_scenario",
+    "settled": "Settled",
+    "annotated": "annotated",
     "failing": "failing",
     "nothing": "nothing",
     "class": "Faster",
@@ -88,6 +100,13 @@ def test_registered_simulators_are_listed_and_built():
     faster = build_named_simulator("faster", ScenarioConfig(states=7))
     assert (faster.name, faster.states) == ("faster", 7)
     assert build_named_simulator("vectorized", ScenarioConfig()).name == "vectorized"
+
+
+@pytest.mark.usefixtures("third_party")
+def test_what_has_defaults_of_its_own_is_handed_no_scenario_that_it_did_not_ask_for():
+    settled = build_named_simulator("settled", ScenarioConfig(states=7))
+    assert (settled.name, settled.states) == ("settled", 13)
+    assert build_named_simulator("annotated", ScenarioConfig(states=7)).states == 7
 
 
 @pytest.mark.usefixtures("third_party")

@@ -162,6 +162,28 @@ def test_an_error_model_of_ones_own_travels_with_the_run(tiny, tmp_path, capsys,
     assert again["pem"]["digest"] != document["pem"]["digest"]
 
 
+@pytest.mark.usefixtures("in_this_process")
+def test_an_error_model_in_python_is_run_where_that_is_allowed(tiny, tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    source = tmp_path / "swept_detector.py"
+    source.write_text(
+        "class Half:\n    def logit(self, salient):\n        return 0.0 * salient[..., 0]\n"
+    )
+    words = ["--vary", "pem=swept_detector:Half", "--vary", "method=naive", "--workers", "1"]
+    assert sweep(tiny, tmp_path / "out", *words) == 2
+    assert "--allow-python" in capsys.readouterr().err
+    allowed = [*words, "--allow-python"]
+    assert sweep(tiny, tmp_path / "out", *allowed) == 0
+    (folder,) = (tmp_path / "out" / "runs").iterdir()
+    assert json.loads((folder / "result.json").read_text())["pem"]["name"] == "Half"
+    assert sweep(tiny, tmp_path / "out", *allowed) == 0
+    assert "1 of 1 runs are done already" in capsys.readouterr().err
+    # an edited module may answer otherwise
+    source.write_text(f"{source.read_text()}# edited\n")
+    assert sweep(tiny, tmp_path / "out", *allowed) == 0
+    assert "done already" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -9,10 +10,12 @@ from rich.console import Console
 from rich.table import Table
 
 from pemviz.config.ranges import Range, check_value
-from pemviz.config.toml_files import load_preset
+from pemviz.config.toml_files import load_config, load_preset
+from pemviz.errors import ConfigError
 from pemviz.runs.model_comparison import ModelFigures, compare_models
 
 Rollouts = Annotated[int, Range(low=2, high=1_000_000)]
+DEFAULT_PRESET = "paper"
 Seed = Annotated[int, Range(low=0, high=2**63 - 1)]
 
 
@@ -25,8 +28,10 @@ class CompareArguments:
 
     models: tyro.conf.Positional[tuple[str, ...]]
     """Shipped names, files, or with --allow-python module:attribute; at least two."""
-    preset: str = "paper"
-    """Shipped configuration whose scenario and specification are taken: paper or town01."""
+    preset: str | None = None
+    """Shipped configuration whose scenario and specification are taken: paper (default), town01."""
+    config: Path | None = None
+    """Configuration file in place of a preset; its simulator needs a fast twin, as all of this."""
     spec: str | None = None
     """Another specification; 'always' over a condition on single states."""
     rollouts: Rollouts = 1200
@@ -47,8 +52,14 @@ def run(arguments: CompareArguments) -> int:
     """
     check_value(name="rollouts", value=arguments.rollouts, annotation=Rollouts)
     check_value(name="seed", value=arguments.seed, annotation=Seed)
-    preset = load_preset(arguments.preset)
-    config = replace(preset, seed=arguments.seed, spec=arguments.spec or preset.spec)
+    if arguments.config is not None and arguments.preset is not None:
+        message = f"config {arguments.config} and preset {arguments.preset!r}: give only one"
+        raise ConfigError(message)
+    if arguments.config is not None:
+        base = load_config(arguments.config)
+    else:
+        base = load_preset(arguments.preset or DEFAULT_PRESET)
+    config = replace(base, seed=arguments.seed, spec=arguments.spec or base.spec)
     figures = compare_models(
         config, arguments.models, rollouts=arguments.rollouts, allow_python=arguments.allow_python
     )
