@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.record_arguments import RecordArguments
-from pemviz.config.encounters import NO_LOGICAL_SCENARIO
 from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
 from pemviz.reports.gate import decide_limits
@@ -80,7 +79,7 @@ def _carry_out(
         return carry_out(
             experiment,
             folder,
-            recorders=_recorders(arguments, experiment, folder),
+            recorders=_recorders(arguments, folder),
             observers=[progress, *observers],
             should_stop=should_stop,
             workers=arguments.workers,
@@ -111,9 +110,7 @@ def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:
     )
 
 
-def _recorders(
-    arguments: RecordArguments, experiment: Experiment, folder: Path
-) -> Sequence[Observer]:
+def _recorders(arguments: RecordArguments, folder: Path) -> Sequence[Observer]:
     """The observer that writes ``run.rrd``, if one is asked for.
 
     A resumed run's recording replaces the old one only when it is whole.
@@ -126,22 +123,10 @@ def _recorders(
     written = path.with_name(".run.rrd.partial") if path.exists() else path
     recorder = Recorder(
         written,
-        frames=not arguments.no_frames and _has_film(experiment),
+        frames=not arguments.no_frames,
         live_port=arguments.live,
     )
     return (recorder if written == path else _Replacing(recorder, written, path),)
-
-
-def _has_film(experiment: Experiment) -> bool:
-    """Whether outcomes and starts tell what highway-env draws: shipped scenarios without errors.
-
-    Not on SUMO, where cars move otherwise for the same outcomes.
-    """
-    config = experiment.config
-    shipped = (
-        not experiment.is_own_system or config.encounter.logical_scenario != NO_LOGICAL_SCENARIO
-    )
-    return shipped and config.position_errors is None and config.simulator != "sumo"
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ SCENE = "/worst_case/scene"
 OUTCOMES = "/worst_case/outcomes"
 WORST_DETECTION = "/worst_case/p_detected"
 WORST_NOISE = "/worst_case/random_by_step"
-FRAMES = "/worst_case/highway_env"
+FRAMES = "/worst_case/film"
 
 SUBTREE = "/**"  # in a view: the entity and all below it
 

@@ -10,7 +10,7 @@ from pemviz.analysis.detection_curves import GAP, detection_curves, gap_grid, pe
 from pemviz.config import ExperimentConfig
 from pemviz.errors import RunError
 from pemviz.recording import learning, paths, text, worst
-from pemviz.recording.film import import_filming, log_film
+from pemviz.recording.film import film_title, import_filming, log_film
 from pemviz.recording.plot import log_intervals
 from pemviz.recording.rollouts import ROLLOUT_LIMIT, choose, log_rollouts, quota, unvaried
 from pemviz.recording.scene import MOST_ROADS, OnRoad, log_scene, on_roads, roads_shown
@@ -59,7 +59,8 @@ class Recorder:
 
         Args:
             path: Where to; overwritten if it exists.
-            frames: Let highway-env draw the least robust rollout from above at the end.
+            frames: At the end have highway-env draw the least robust rollout from above, or the
+                user's own system if it can (:class:`pemviz.simulators.scene.FilmsRollouts`).
             live_port: Also serve it to live viewers on this port of the loopback interface.
             rollout_limit: Up to how many rollouts of a repetition are all recorded.
             compacted: Make the file smaller once the run is done.
@@ -114,7 +115,10 @@ class _Writing:
         self, file: RecordingFile, started: RunStarted, rollout_limit: int, *, frames: bool
     ) -> None:
         config, simulator = started.config, started.simulator
-        self._file, self._started, self._frames = file, started, frames
+        self._file, self._started = file, started
+        self._is_own = started.result.simulator is not None
+        title = film_title(config, simulator, is_own=self._is_own) if frames else None
+        self._is_filmed = title is not None
         self._figures: list[learning.StageFigures] = []
         self._tracks: tuple[worst.Track, ...] = ()
         self._drawn_repetitions = 0
@@ -134,14 +138,14 @@ class _Writing:
                 repetitions=config.repetitions,
                 signals=started.signals,
                 robustness_unit=self._robustness_unit,
-                frames=frames,
+                film=title or "",
                 road=None if scene is None else scene.road,
                 signal=named[0],
                 noise=worst.noise_title(simulator),
                 rows=self._row_names(),
             )
         )
-        if frames:
+        if self._is_filmed and not self._is_own:
             imported = threading.Thread(target=_import, args=(config,), name="pemviz-filming")
             imported.start()
         file.markdown(paths.CONFIG, text.config_document(started.result))
@@ -280,9 +284,15 @@ class _Writing:
             1:FROM_ABOVE
         ]:  # now that the ranking does not change any more
             log_scene_plan(one)
-        if self._frames:
-            track = self._tracks[0]
-            log_film(self._file, track, config=config, simulator=simulator, stage=last)
+        if self._is_filmed:
+            log_film(
+                self._file,
+                self._tracks[0],
+                config=config,
+                simulator=simulator,
+                stage=last,
+                is_own=self._is_own,
+            )
 
     def _write_scene(self, *, stage: int) -> None:
         """The least robust rollouts on their roads, and the first of them from above."""

@@ -71,7 +71,7 @@ class Subject:
 
     Attributes:
         robustness_unit: Unit of the ranking metric; empty if it has none.
-        frames: Whether highway-env's pictures are recorded.
+        film: Title of the least robust rollout's film; empty: there is none.
         road: Of a scenario that tells where its cars are.
         signal: The one that is drawn of the least robust rollouts; by default the first.
         noise: Names what was random at steps; empty: nothing was.
@@ -82,7 +82,7 @@ class Subject:
     repetitions: int
     signals: tuple[Signal, ...]
     robustness_unit: str
-    frames: bool = False
+    film: str = ""
     road: Road | None = None
     signal: Signal | None = None
     noise: str = ""
@@ -250,8 +250,8 @@ def _worst(subject: Subject) -> tuple[ContainerSpec, ...]:
     )
     title, path = "Rank 1: P(detected) against step, grey: error model", paths.WORST_DETECTION
     curves = [ViewSpec("series", title, (path,), axis=PROBABILITY_AXIS)]
-    if subject.frames:
-        curves.insert(0, ViewSpec("image", "Rank 1 in highway-env, from above", (paths.FRAMES,)))
+    if subject.film:
+        curves.insert(0, ViewSpec("image", subject.film, (paths.FRAMES,)))
     if subject.noise:
         curves.append(ViewSpec("series", subject.noise, (paths.WORST_NOISE,)))
     ranking = _text("Ranking", paths.WORST_SUMMARY)

@@ -20,6 +20,8 @@ def own_system(experiment: Experiment) -> OwnSystem | None:
         return None
     declared, part = experiment.declared, innermost(experiment.declared)
     kind = type(part)
+    if kind.__module__.split(".")[0] == "pemviz":  # encounters, which are shipped
+        return None
     source = _source_file(kind)
     package = _package(kind.__module__) if source and "site-packages" in source.parts else None
     return OwnSystem(

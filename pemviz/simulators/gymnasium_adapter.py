@@ -6,7 +6,7 @@ gymnasium itself is not imported here: whatever has ``reset`` and ``step`` will 
 import copy
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -106,6 +106,24 @@ class GymnasiumAdapter:
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """What the detector's answer depends on, ``[..., D]``."""
         return self.salient_of({signal.name: signals[signal.name] for signal in self.signals})
+
+    @property
+    def films(self) -> bool:
+        """Whether the environment draws itself: its ``render_mode`` is ``rgb_array``."""
+        return getattr(self.environment, "render_mode", None) == "rgb_array"
+
+    def pictures(
+        self, outcomes: BoolArray, *, start: FloatArray | None = None
+    ) -> Iterator[AnyArray]:
+        """What the environment renders after a reset and after each of perception's outcomes."""
+        environment: Any = self.environment
+        self._reset(() if start is None else start)
+        yield environment.render()
+        for outcome in outcomes.tolist():
+            _, _, terminated, truncated, _ = environment.step(self.action_of(outcome))
+            yield environment.render()
+            if terminated or truncated:
+                return
 
     def _reset(self, normals: FloatArray | Sequence[float] = ()) -> Any:
         """The first observation, with the seed that the latents ``[1]`` give if there are any."""

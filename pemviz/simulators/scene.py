@@ -5,7 +5,7 @@ The frame is the world's: x along the road, y to its left [m], headings counterc
 it by :mod:`pemviz.simulators.drawn_scene`, and draws whatever states files hold.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -185,5 +185,25 @@ class TellsErrors(Protocol):
 
         Returns:
             ``[T-1]`` by what was measured; NaN where nothing was.
+        """
+        ...
+
+
+@runtime_checkable
+class FilmsRollouts(Protocol):
+    """A system that draws one of its rollouts: a recording then holds a film of the least robust.
+
+    One that cannot always draw, as a gymnasium environment by its ``render_mode``, says so by an
+    attribute ``films``.
+    """
+
+    def pictures(
+        self, outcomes: BoolArray, *, start: FloatArray | None = None
+    ) -> Iterator[AnyArray]:
+        """A picture of each state, ``[H, W, 3]`` of bytes (red, green, blue).
+
+        Args:
+            outcomes: Perception's, ``[T-1]``, with slots ``[T-1, K]``.
+            start: Latents at the start ``[S]``, if it takes any.
         """
         ...

@@ -103,7 +103,7 @@ def test_views_follow_repetitions_and_frames(tmp_path):
     assert sum(c.num_rows for c in rows) == 8
     blob = rows[0].to_record_batch()["EncodedImage:blob"].to_pylist()[0][0]
     assert bytes(blob).startswith(b"\xff\xd8")
-    wanted = subject_of(recorded, frames=True)
+    wanted = subject_of(recorded, film="Rank 1 in highway-env, from above")
     assert empty_views(all_views(wanted), logged) == []
 
 
@@ -271,7 +271,7 @@ def test_dropping_views_keeps_the_open_tab():
 def test_blueprints_are_built_for_any_number_of_stages(stages):
     signals = build_experiment(ExperimentConfig()).problem.simulator.signals
     for repetitions in (1, 5):
-        subject = Subject(stages, repetitions, signals, "m", frames=True)
+        subject = Subject(stages, repetitions, signals, "m", film="A film")
         assert blueprint(all_views(subject)) is not None
 
 
