@@ -68,6 +68,11 @@ COMMANDS = {
         "one page for a safety case from runs and sweeps",
         "pemviz.cli.report:ReportArguments",
     ),
+    "budget": Command(
+        "pemviz.cli.budget",
+        "hold a risk budget against runs: is it met, what decides",
+        "pemviz.cli.budget:BudgetArguments",
+    ),
     "export": Command(
         "pemviz.cli.export",
         "a rollout of a run as a file for other tools",

@@ -78,20 +78,24 @@ def load_config(path: Path) -> ExperimentConfig:
             value that is out of range.
     """
     try:
-        config = config_from_table(_read_table(path))
+        config = config_from_table(read_table(path))
         config.validate()
     except ConfigError as error:
         raise ConfigError(f"config {path}: {error}") from error
     return config
 
 
-def _read_table(path: Path) -> dict[str, Any]:
-    """The file's values; messages do not name the file."""
+def read_table(path: Path, *, kind: str = "configuration") -> dict[str, Any]:
+    """The values of a file that is a ``kind``.
+
+    Raises:
+        ConfigError: It cannot be read, or is no TOML; the message does not name the file.
+    """
     try:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
-            raise ConfigError(f"must be a configuration of at most {LARGEST_BYTES} bytes")
+            raise ConfigError(f"must be a {kind} of at most {LARGEST_BYTES} bytes")
         text = content.decode("utf-8").replace("\r\n", "\n")
         if any(line.partition("=")[0].count(".") > DEEPEST_KEY for line in text.split("\n")):
             raise ConfigError(_TOO_DEEP)

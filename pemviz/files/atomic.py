@@ -66,6 +66,33 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def check_place(name: str, path: Path) -> None:
+    """Refuse an option's ``path`` that no file can be written to.
+
+    Raises:
+        InputError: It is a folder, or lies in none.
+    """
+    if is_folder(path):
+        message = f"{name} = {path}: must be a file, is a folder"
+        raise InputError(message)
+    if not is_folder(path.parent):
+        message = f"{name} = {path}: must lie in a folder that exists"
+        raise InputError(message)
+
+
+def write_named(name: str, path: Path, text: str) -> None:
+    """Write UTF-8 text atomically to an option's ``path``.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    try:
+        write_text(path, text)
+    except OSError as error:
+        message = f"{name} = {path}: cannot be written ({error.strerror or error})"
+        raise InputError(message) from error
+
+
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write strict JSON atomically.
 

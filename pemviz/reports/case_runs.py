@@ -43,6 +43,7 @@ class CaseRun:
         card: Of its error model; ``None`` where the model is not at hand, or is another one now.
         digests: SHA-256 of the files that were kept, by name.
         violations: The likeliest; ``None`` where rollouts were not kept, or nothing violates.
+        folder: Where the files are.
     """
 
     name: str
@@ -50,6 +51,7 @@ class CaseRun:
     card: PemCard | None
     digests: Mapping[str, str]
     violations: Violations | None
+    folder: Path = Path()
 
 
 def run_folders(paths: Sequence[Path]) -> list[Path]:
@@ -95,6 +97,7 @@ def read_case_run(folder: Path) -> CaseRun:
         card=_card(result),
         digests=digests,
         violations=_violations(folder, result),
+        folder=folder,
     )
 
 

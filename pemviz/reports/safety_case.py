@@ -5,36 +5,29 @@ One run in full, or several side by side and then in full. Evidence is what
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 from pemviz._version import __version__
 from pemviz.colors import BLUE
 from pemviz.pem import PemCard
 from pemviz.reports import document as doc
 from pemviz.reports import html
+from pemviz.reports.argument import Argument, argument_of_budget, argument_of_runs
+from pemviz.reports.argument_picture import argument_svg
+from pemviz.reports.budget_document import budget_document
 from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.charts import gap_chart, miss_chart, runs_chart
 from pemviz.reports.document import Block, Document, Paragraph, Section, Table, facts, figure
 from pemviz.reports.escape import printable_lines
-from pemviz.reports.estimate_words import end_text, interval_text, probability_text, range_text
+from pemviz.reports.estimate_words import interval_text, probability_text, range_text
 from pemviz.reports.run_document import run_document, scenario_text
+from pemviz.reports.safety_claims import GRANTED, Claim, Verdict, claim_sentence, claimed, claims
 from pemviz.runs.reading import setting_differences
 from pemviz.runs.result import RunResult
+from pemviz.runs.risk_budget import JudgedBudget
 from pemviz.runs.uncertainty import SourceKind, run_interval_caveats, uncertainty_budget
 from pemviz.sampling.registry import by_name
 
-Verdict = Literal["shown", "not shown", "not known"]
 MARKS: Mapping[Verdict, doc.Mark] = {"shown": "yes", "not shown": "no", "not known": "open"}
-GRANTED: Mapping[SourceKind, str] = {
-    "sampling": "the error model {pem} and the simulation are right",
-    "refits": "any refit of {pem} to its data may be right",
-    "model-classes": "any of the other shipped kinds of error model may be right",
-    "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",
-    "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
-    "and misses are as assumed",
-}
-"""What each source takes for granted, beside the assumptions below."""
 EVIDENCE = (
     (
         "The estimate and its diagnostics",
@@ -62,6 +55,7 @@ h2 {{ font-size: 20px; margin: 38px 0 8px; padding-bottom: 4px; border-bottom: 2
 main p, main li {{ max-width: 82ch; }} figure {{ max-width: 780px; }}
 .head {{ border: 1px solid #cbd2d9; border-radius: 6px; padding: 16px 20px 10px; margin: 16px 0;
   columns: 2 380px; column-gap: 28px; }}
+.argument {{ margin: 12px 0; }}
 .head figure, .head li, .head p {{ break-inside: avoid; }}
 nav {{ margin: 10px 0 0; font-size: 14px; }}
 nav a {{ color: {BLUE}; margin-right: 14px; text-decoration: none; }}
@@ -80,12 +74,20 @@ footer {{ margin-top: 46px; color: #52606d; font-size: 13px; border-top: 1px sol
 """
 
 
-def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> str:
-    """The whole page as HTML, of one run or more. What cannot be printed is replaced.
+def safety_case_page(
+    runs: Sequence[CaseRun], *, below: float | None = None, budget: JudgedBudget | None = None
+) -> str:
+    """The whole page as HTML, of runs or of a risk budget. What cannot be printed is replaced.
 
-    ``below`` is the failure probability that is to be claimed, if one is named.
+    Args:
+        runs: One at least, but for a budget that names none.
+        below: The failure probability that is to be claimed, if one is named.
+        budget: Stands first; runs are then its evidence.
     """
-    if len(runs) == 1:
+    if budget is not None:
+        title, below_title = f"Safety case: {budget.budget.name}", "Risk budget, then its evidence"
+        body = _budget(budget) + _many(runs, below=below)
+    elif len(runs) == 1:
         config = runs[0].result.config
         specified = ", ".join(rule.name for rule in config.rules) or config.spec
         title, below_title = f"Safety case evidence: {specified}", f"Run {runs[0].name}"
@@ -93,13 +95,7 @@ def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> 
     else:
         title = f"Safety case evidence: {len(runs)} runs"
         below_title = "Side by side, then each in full"
-        body = html.sections_html(_side_by_side(runs, below=below))
-        for index, run in enumerate(runs[:MOST_IN_FULL], start=1):
-            full = _run(run, below=below, prefix=f"r{index}-")
-            name = html.words(run.name)
-            body += f"<section class='run'><h1>Run {index}: {name}</h1>{full}</section>"
-        if (left := len(runs) - MOST_IN_FULL) > 0:
-            body += html.paragraph(f"The other {left} runs stand in the table above only.", "quiet")
+        body = _many(runs, below=below)
     body = f"<h1>{html.words(title)}</h1>{html.paragraph(below_title, 'quiet')}{body}"
     footer = html.words(
         f"Made by pemviz {__version__} from what the runs kept; the page fetches nothing and runs "
@@ -117,6 +113,41 @@ def safety_case_page(runs: Sequence[CaseRun], *, below: float | None = None) -> 
     return f"{printable_lines(page)}\n"
 
 
+def _many(runs: Sequence[CaseRun], *, below: float | None) -> str:
+    """Side by side where there are several, then each in full."""
+    body = html.sections_html(_side_by_side(runs, below=below)) if len(runs) > 1 else ""
+    for index, run in enumerate(runs[:MOST_IN_FULL], start=1):
+        full = _run(run, below=below, prefix=f"r{index}-")
+        name = html.words(run.name)
+        body += f"<section class='run'><h1>Run {index}: {name}</h1>{full}</section>"
+    if (left := len(runs) - MOST_IN_FULL) > 0:
+        body += html.paragraph(f"The other {left} runs stand in the table above only.", "quiet")
+    return body
+
+
+def _budget(judged: JudgedBudget) -> str:
+    """Is it met, hazard by hazard, and the argument drawn."""
+    sections = {section.key: section for section in budget_document(judged).sections}
+    first = html.blocks_html(sections.pop("verdict").full)
+    picture = _picture(argument_of_budget(judged))
+    parts = "".join(
+        f"<h2>{html.words(section.title)}</h2>{html.blocks_html(section.full)}"
+        for section in sections.values()
+    )
+    return f"<div class='head'>{first}</div><h2>Argument</h2>{picture}{parts}"
+
+
+def _picture(argument: Argument) -> str:
+    """The argument drawn, with how to read it."""
+    how = (
+        "To the right of each goal stands what supports it, beneath it what it takes as given; "
+        "red with a diamond: a claim that does not hold, or is not known. pemviz report --gsn "
+        "writes it for other tools, and --check judges it again."
+    )
+    drawn = argument_svg(argument, title="The argument as a tree of goals")
+    return f"<div class='argument'>{drawn}</div>{html.paragraph(how, 'quiet')}"
+
+
 def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
     result, config, document = run.result, run.result.config, run_document(run.result)
     named = ", ".join(rule.name for rule in config.rules) or config.spec
@@ -125,7 +156,11 @@ def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
     evidence = (html.heading(e.title) + html.blocks_html(e.full) for e in _evidence(run, document))
     parts = [
         ("Claim", html.blocks_html(_claim_blocks(result, below=below))),
-        ("Argument", html.blocks_html([doc.Bullets(_argument(result), numbered=True)])),
+        (
+            "Argument",
+            html.blocks_html([doc.Bullets(_argument(result), numbered=True)])
+            + _picture(argument_of_runs([run], below=below)),
+        ),
         ("Evidence", "".join(evidence)),
         ("Assumptions, and what each is worth", html.blocks_html([_assumptions(result)])),
         ("What to measure next", html.blocks_html(document.blocks("plan") or no_plan)),
@@ -164,77 +199,6 @@ def _head(run: CaseRun, document: Document, *, below: float | None) -> tuple[Blo
     )
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A bound that rests on a source of uncertainty and takes something for granted.
-
-    Attributes:
-        bound: The failure probability is below; ``None`` where it is not known.
-        verdict: Whether the wanted claim follows; ``None`` where none was named.
-        note: What speaks against the bound, or what would be needed to have one.
-    """
-
-    kind: SourceKind
-    granted: str
-    bound: float | None
-    name: str
-    verdict: Verdict | None
-    note: str
-
-    @property
-    def bound_text(self) -> str:
-        """The bound in words."""
-        return "not known" if self.bound is None else end_text(self.bound)
-
-
-def claims(result: RunResult, *, below: float | None) -> list[Claim]:
-    """A statement for each source of uncertainty but the reference, sampling first."""
-    found: list[Claim] = []
-    for source in uncertainty_budget(result):
-        if source.kind == "reference":
-            continue
-        of_rollouts = source.kind in ("sampling", "refits", "model-classes")
-        doubts = "; ".join(run_interval_caveats(result)) if of_rollouts else ""
-        verdict: Verdict | None = None
-        if below is not None and (source.high is None or doubts):
-            verdict = "not known"
-        elif below is not None and source.high is not None:
-            verdict = "shown" if source.high <= below else "not shown"
-        note = doubts or (source.narrowed_by if source.high is None else "")
-        granted = GRANTED[source.kind].format(pem=result.pem.name)
-        found.append(Claim(source.kind, granted, source.high, source.name, verdict, note))
-    return found
-
-
-def claim_sentence(result: RunResult, *, below: float | None) -> str:
-    """The claim and how far it carries, in a sentence."""
-    if result.estimate is None:
-        return f"The run {result.status}: it has no estimate, and nothing can be claimed."
-    found = claims(result, below=below)
-    if below is None:
-        highest = [claim for claim in found if claim.bound is not None]
-        if not highest:
-            return "No upper bound is known."
-        last = max(highest, key=lambda claim: claim.bound or 0.0)
-        return (
-            "No failure probability was named to be claimed. What holds under the least that is "
-            f"taken for granted here: {_claimed(result)} with a probability below "
-            f"{last.bound_text}, if {last.granted}."
-        )
-    parts = [f"To be claimed: {_claimed(result)} with a probability below {below:g}."]
-    for verdict in ("shown", "not shown", "not known"):
-        granted = [claim.granted for claim in found if claim.verdict == verdict]
-        if granted:
-            parts.append(f"{verdict.capitalize()} if {'; or if '.join(granted)}.")
-    return " ".join(parts)
-
-
-def _claimed(result: RunResult) -> str:
-    """What claims are about: of several rules, whether any is broken."""
-    rules = len(result.config.rules)
-    return f"a run breaks any of {rules} rules" if rules > 1 else "a run violates the specification"
-
-
 def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...]:
     found = claims(result, below=below)
     if not found:
@@ -245,7 +209,7 @@ def _claim_blocks(result: RunResult, *, below: float | None) -> tuple[Block, ...
         judged = () if one.verdict is None else (doc.Verdict(MARKS[one.verdict], one.verdict),)
         rows.append((one.granted, one.name, one.bound_text, one.note, *judged))
     columns += [] if below is None else [f"below {below:g}"]
-    about = Paragraph(f"How likely it is that {_claimed(result)}:", "quiet")
+    about = Paragraph(f"How likely it is that {claimed(result)}:", "quiet")
     return about, Table(tuple(columns), tuple(rows))
 
 

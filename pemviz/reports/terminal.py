@@ -38,12 +38,14 @@ def print_summary(result: RunResult, folder: Path, *, verbose: bool = False) -> 
     console.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
 
-def print_document(document: doc.Document) -> None:
-    """Print a document in brief, under its title."""
+def print_document(document: doc.Document, *, verbose: bool = False) -> None:
+    """Print a document under its title, in brief or, if ``verbose``, in full."""
     console = Console(highlight=False)
     _line(console, document.title, style="bold")
     for section in document.sections:
-        _print(console, section.brief)
+        if verbose:
+            _line(console, section.title, style="italic")
+        _print(console, section.full if verbose else section.brief)
 
 
 def summary_text(result: RunResult) -> str:

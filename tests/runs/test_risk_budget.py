@@ -1,0 +1,180 @@
+"""Budgets held against run folders: which interval of a run counts, and when nothing is known."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import expit
+
+from pemviz.errors import InputError
+from pemviz.files.array_files import read_arrays
+from pemviz.runs.reading import read_result
+from pemviz.runs.result_file import write_result
+from pemviz.runs.risk_budget import contact_speeds, judge_budget
+from pemviz.simulators.braking.contact import first_contact
+from tests.budgets import (
+    COUNTED,
+    CUT_IN,
+    DOUBTED,
+    HIGHEST,
+    WEIGHED,
+    hazard,
+    look_at_memories,
+    make_run,
+    write_budget,
+)
+
+CURVE = 'intercept = -4.0\nslope = 0.1\nspeed_unit = "km/h"\nsource = "made up"'
+SAMPLING = "uncertainty = 'sampling'"
+EXACT = 'median = 1.0\nlow = 1.0\nhigh = 1.0\nsource = "each counts"'
+ONCE = 'median = 1.0\nlow = 1.0\nhigh = 1.0\nsource = "by definition"'
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Runs by counting and by weights; ``looked`` was looked at with memories of misses too."""
+    found = tmp_path_factory.mktemp("runs")
+    configs = {"counted": COUNTED, "looked": COUNTED, "weighed": WEIGHED, "cut-in": CUT_IN}
+    for name, config in configs.items():
+        make_run(found / name, config)
+    look_at_memories(found / "looked")
+    return found
+
+
+def judged(folder, *hazards, accepted=1e-5):
+    return judge_budget(write_budget(folder / "budget.toml", *hazards, accepted=accepted))
+
+
+def alone(folder, run, **named):
+    """A budget in which all but P(violation) is exactly 1, so that it is the rate of harm."""
+    one = hazard(runs=(run,), encounters=ONCE, harm=EXACT, **named)
+    return judged(folder, one)
+
+
+def test_a_counting_run_gives_its_exact_binomial_interval(folder):
+    found = alone(folder, "counted", extra=SAMPLING).risk.harm_per_hour
+    exact = stats.binomtest(16, 400).proportion_ci(0.95, method="exact")
+    assert found.value == pytest.approx(0.04)
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-3)
+
+
+def test_a_weighing_run_gives_its_own_interval(folder):
+    found = alone(folder, "weighed", extra=SAMPLING).risk.harm_per_hour
+    estimate = read_result(folder / "weighed").estimate
+    assert found.value == pytest.approx(estimate.probability)
+    assert found.low == pytest.approx(estimate.ci_low, rel=1e-3)
+    assert found.high == pytest.approx(estimate.ci_high, rel=1e-3)
+
+
+def test_by_default_the_range_to_act_on_counts_and_its_ends_are_not_averaged(folder):
+    one = alone(folder, "looked")
+    assert one.risk.harm_per_hour.high == pytest.approx(HIGHEST)
+    assert one.risk.harm_per_hour.low == pytest.approx(0.9e-6)
+    assert one.hazards[0].runs[0].answer.open.decided_by.kind == "memory"
+
+
+def test_where_nobody_looked_how_far_the_answer_is_open_the_budget_is_not_known(folder):
+    one = alone(folder, "counted")
+    assert one.outcome == "not known"
+    assert "not looked at" in one.hazards[0].unknown
+
+
+def test_what_is_known_may_be_too_much_whatever_else_is_not(folder):
+    unknown, known = hazard(runs=("counted",)), hazard(name="other")
+    assert judged(folder, unknown, known).outcome == "not known"
+    assert judged(folder, unknown, known, accepted=1e-8).outcome == "not met"
+
+
+def test_a_run_that_warns_or_did_not_finish_makes_nothing_met(tmp_path):
+    make_run(tmp_path / "doubted", DOUBTED)
+    one = judged(tmp_path, hazard(runs=("doubted",), extra=SAMPLING), accepted=1.0)
+    assert one.outcome == "not known"
+    assert "the sampling does not hold" in one.hazards[0].unknown
+    stopped = make_run(tmp_path / "stopped", replace(COUNTED, final_rollouts=50))
+    write_result(stopped, replace(read_result(stopped), status="stopped"))
+    one = judged(tmp_path, hazard(runs=("stopped",), extra=SAMPLING), accepted=1.0)
+    assert one.hazards[0].unknown == "run stopped: the run stopped"
+
+
+def test_of_several_runs_the_highest_and_the_lowest_ends_count(folder):
+    one = hazard(runs=("counted", "weighed"), extra=SAMPLING, encounters=ONCE, harm=EXACT)
+    found = judged(folder, one).risk.harm_per_hour
+    assert found.low == pytest.approx(read_result(folder / "weighed").estimate.ci_low, rel=1e-3)
+    exact = stats.binomtest(16, 400).proportion_ci(0.95, method="exact")
+    assert found.high == pytest.approx(exact.high, rel=1e-3)
+
+
+def test_two_rules_of_one_run_are_not_taken_as_independent(folder):
+    """The same rollouts: both are high together, so the ends add up."""
+    both = [hazard(name=n, runs=("weighed",), extra=SAMPLING, encounters=ONCE, harm=EXACT)
+            for n in ("first", "second")]  # fmt: skip
+    one = judged(folder, *both)
+    high = read_result(folder / "weighed").estimate.ci_high
+    assert one.risk.harm_per_hour.high == pytest.approx(2.0 * high, rel=1e-3)
+    assert any("counts several times" in text for text in one.cautions)
+
+
+def test_an_injury_curve_is_averaged_over_the_violating_rollouts(folder):
+    """By their weights, at the speed at which the gap closes where the cars touch."""
+    one = judged(folder, hazard(runs=("weighed",), extra=SAMPLING, harm=CURVE))
+    arrays = read_arrays(folder / "weighed" / "rollouts.npz")
+    rows = np.flatnonzero(arrays["violated"])
+    weight = np.exp(arrays["method.log_weight"][rows])
+    touched = [first_contact(arrays["gap_m"][row], dt_s=0.05) for row in rows.tolist()]
+    risk = [0.0 if c is None else expit(-4.0 + 0.1 * 3.6 * c.impact_speed_mps) for c in touched]
+    assert one.risk.hazards[0].harm.value == pytest.approx(np.average(risk, weights=weight), 1e-3)
+
+
+def test_contact_is_where_views_show_it():
+    gaps = np.array([[5.0, 3.0, 1.5, 1.0], [5.0, 4.0, 3.0, 2.5], [1.0, 1.0, 0.5, 0.1]])
+    speed, hit = contact_speeds(gaps, dt_s=0.1)
+    expected = [first_contact(gap, dt_s=0.1) for gap in gaps]
+    assert hit.tolist() == [one is not None for one in expected] == [True, False, True]
+    assert speed.tolist() == pytest.approx([15.0, 0.0, 0.0])
+
+
+def test_a_violation_that_hits_nothing_does_no_harm_and_is_said(folder):
+    one = hazard(runs=("cut-in",), rule="safe-distance", extra=SAMPLING, harm=CURVE)
+    found = judged(folder, one)
+    arrays = read_arrays(folder / "cut-in" / "rollouts.npz")
+    broken = arrays["broken.safe-distance"]
+    speed = arrays["impact_speed_mps"][broken].max(axis=1)
+    risk = np.where(speed > 0.0, expit(-4.0 + 0.36 * speed), 0.0)
+    assert found.risk.hazards[0].harm.value == pytest.approx(risk.mean(), rel=1e-3, abs=1e-12)
+    assert any("hit nothing" in text for text in found.cautions)
+
+
+def test_a_run_made_for_another_rate_of_encounters_is_named(folder, tmp_path):
+    run = make_run(tmp_path / "run", replace(COUNTED, encounters_per_hour=900.0))
+    one = judged(tmp_path, hazard(runs=(run.name,), extra=SAMPLING))
+    assert any("made for 900 encounters an hour" in text for text in one.cautions)
+
+
+def test_the_sum_of_hazards_is_that_of_their_products(folder):
+    one = judged(folder, hazard(), hazard(name="other", harm=EXACT), accepted=1.0)
+    values = [12.0 * 1e-6 * 0.05, 12.0 * 1e-6]
+    assert one.outcome == "met"
+    assert one.risk.harm_per_hour.value == pytest.approx(math.fsum(values))
+
+
+@pytest.mark.parametrize(
+    ("named", "words"),
+    [
+        ({"runs": ("nowhere",)}, "there is no such folder"),
+        ({"runs": ("cut-in",)}, "rule: is missing: run"),
+        ({"runs": ("cut-in",), "rule": "nonsense"}, "has no-collision, safe-distance, any"),
+        ({"runs": ("counted",), "rule": "no-collision"}, "has any, or left out"),
+    ],
+)
+def test_a_run_that_does_not_fit_is_refused(folder, named, words):
+    with pytest.raises(InputError, match=words):
+        judged(folder, hazard(**named))
+
+
+def test_a_damaged_run_is_refused(folder, tmp_path):
+    run = make_run(tmp_path / "run", replace(COUNTED, final_rollouts=20))
+    (run / "rollouts.npz").write_bytes(b"PK\x03\x04 no archive")
+    with pytest.raises(InputError):
+        judged(tmp_path, hazard(runs=("run",)))
