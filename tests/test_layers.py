@@ -36,7 +36,7 @@ ONLY_IN = {
     "dask": {"sweep"},
     "distributed": {"cluster", "sweep"},
     "rosbags": {"pem"},
-    "yaml": {"pem"},
+    "yaml": {"files"},
     "pyarrow": {"sweep", "export", "recording", "pem"},
     "scenariogeneration": {"export"},
     "commonroad": {"export"},

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import yaml
-
 from pemviz.errors import InputError
 from pemviz.files.atomic import file_digest, write_named
+from pemviz.files.yaml_text import parse_yaml, yaml_text
 from pemviz.reports.argument import (
     BELOW,
     BUDGET,
@@ -53,8 +52,8 @@ def write_gsn(path: Path, argument: Argument) -> None:
 
 
 def _write(path: Path, document: Mapping[str, Any]) -> None:
-    text = yaml.safe_dump(dict(document), sort_keys=False, allow_unicode=True, width=WIDTH)
-    write_named("gsn", path, ABOUT.format(name=printable_line(path.name)) + text)
+    about = ABOUT.format(name=printable_line(path.name))
+    write_named("gsn", path, about + yaml_text(document, width=WIDTH))
 
 
 def _table(one: Element, beside: Path) -> dict[str, Any]:
@@ -111,9 +110,9 @@ def read_gsn(path: Path) -> GsnFile:
         message = f"{where}: must have at most {LARGEST_BYTES} bytes"
         raise InputError(message)
     try:
-        document = yaml.safe_load(content)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        message = f"{where}: not valid YAML ({error})"
+        document = parse_yaml(content.decode("utf-8-sig"))
+    except ValueError as error:
+        message = f"{where}: {error}"
         raise InputError(message) from error
     if not isinstance(document, dict):
         message = f"{where}: must be a table of elements"

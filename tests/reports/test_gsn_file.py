@@ -222,15 +222,17 @@ def test_what_somebody_added_stays(case):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[", "not valid YAML"),
+        ("[", "no YAML"),
         ("- a\n- b\n", "must be a table of elements"),
         ("G1: {text: one}\n", "has no goal G-top"),
+        ("G-top: {text: a}\nG-top: {text: b}\n", "is there twice"),
+        ("G-top: &a {text: a}\nG-b: *a\n", "an alias in line 2"),
         ("G-top: yes\n", "must be a table with a text"),
         ("G-top: {text: a, supportedBy: 3}\n", "must be a list of names"),
         ("G-top: {text: a, supportedBy: [{}]}\n", "must be a list of names"),
-        ("[" * 5000, "not valid YAML"),
-        ("!!python/object/apply:os.system ['true']", "not valid YAML"),
-        ("\x00", "not valid YAML"),
+        ("[" * 5000, "no YAML"),
+        ("!!python/object/apply:os.system ['true']", "no YAML"),
+        ("\x00", "no YAML"),
     ],
 )
 def test_a_damaged_argument_is_one_line(text, words, tmp_path, capsys):

@@ -22,19 +22,17 @@ The newer simulator begins each entity as reported, with noise 0, does not repor
 frame, and takes the scenario's seed. Parameters are typed: a list of whole numbers is refused.
 """
 
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
-import yaml
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import PemError, one_line
 from pemviz.files.atomic import is_file
+from pemviz.files.yaml_text import parse_yaml, yaml_text
 from pemviz.pem.exchange.averages import LONGEST_TAU_S, NARROWEST_M, Averages
 
 NOISE_VERSION = 4
@@ -47,7 +45,6 @@ SMALLEST_P = 1e-12
 DECIMALS, DIGITS = 12, 6
 LARGEST_BYTES = 1 << 18
 """A file with all parameters of the simulator has 20 kB."""
-DEEPEST = 30
 LARGEST_ERROR = 1e3
 """No mean or deviation is larger [m, rad]."""
 
@@ -161,12 +158,7 @@ def noise_yaml(file: NoiseFile) -> str:
         },
     }
     lines = [f"# {name}: {one_line(text)}" for name, text in file.notes.items()]
-    body = yaml.safe_dump(
-        {"/**": {"ros__parameters": {TOPIC: objects}}},
-        sort_keys=False,
-        default_flow_style=None,
-        width=float("inf"),
-    )
+    body = yaml_text({"/**": {"ros__parameters": {TOPIC: objects}}}, innermost_in_line=True)
     return "\n".join([f"# {HEAD}", *lines, body])
 
 
@@ -260,50 +252,11 @@ def _notes(text: str) -> dict[str, str]:
     return notes
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML without anchors, deep nesting or a key that is there twice.
-
-    A few bytes of aliases can stand for more values than any memory holds.
-    """
-
-    depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError(f"an alias in line {self.peek_event().start_mark.line + 1}")
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise yaml.YAMLError(f"nested more than {DEEPEST} levels deep")
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = sorted(key for key, count in Counter(keys).items() if count > 1)
-        if twice:
-            line = node.start_mark.line + 1
-            raise yaml.YAMLError(f"{twice[0]!r} is there twice in what begins in line {line}")
-        return super().construct_mapping(node, deep=deep)
-
-
-# ROS's reader takes 1e-3 for a number; YAML 1.1 asks for a point and a sign
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
 def _parsed(text: str) -> Any:
     try:
-        return yaml.load(text, Loader=_Loader)  # noqa: S506  a safe loader, with less in it
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = "" if mark is None else f"line {mark.line + 1}: "
-        raise PemError(f"no YAML: {where}{error.problem or error.context}") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise PemError(f"no YAML: {error}") from None
+        return parse_yaml(text)
+    except ValueError as error:
+        raise PemError(str(error)) from None
 
 
 @dataclass(frozen=True)
