@@ -1,4 +1,4 @@
-"""Films of systems of the user's own: their pictures of the least robust rollout, state by state."""
+"""Films of systems of the user's own: their pictures of the least robust rollout, by state."""
 
 import logging
 from io import BytesIO
