@@ -1,10 +1,11 @@
-"""What settings trade violations of one rule for those of another, and which are worth a choice.
+"""What settings trade violations of one rule for those of another, and which are not dominated.
 
-Settings are compared by their 95 % intervals: one is better where its interval lies below the
-other's, so that nothing is called better than what the rollouts tell apart. What all settings have
-in common, such as the error model, is not in these intervals.
+A setting is dominated by one that breaks neither rule more often and one less often. By estimates
+that is decided for all; for sure it is where the 95 % intervals of both rules lie apart. What all
+settings have in common, such as the error model, is not in these intervals.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -17,18 +18,21 @@ from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import RULE, Setting, Variation, setting_label, value_text
 from pemviz.types import Estimate
 
-Standing = Literal["not dominated", "no gain", "dominated", "not known"]
+Standing = Literal["front", "small gain", "perhaps dominated", "dominated", "not known"]
 STANDINGS: Mapping[Standing, str] = {
-    "not dominated": "not dominated",
-    "no gain": "no measurable gain over",
+    "front": "not dominated",
+    "small gain": "not dominated; its gain is within the intervals over",
+    "perhaps dominated": "perhaps dominated by",
     "dominated": "dominated by",
     "not known": "not known",
 }
 """From the best on, in words; those that end in 'over' and 'by' are followed by a setting."""
+ON_FRONT: tuple[Standing, ...] = ("front", "small gain")
 MEANS = (
-    "Dominated: another setting breaks both rules less often, by intervals that do not overlap. No "
-    "measurable gain: another breaks one rule less often, and in the other the intervals overlap. "
-    "The intervals are those of sampling: the error model is taken as right, in all settings alike."
+    "Dominated: another setting breaks both rules less often, by intervals that do not overlap; "
+    "perhaps dominated: by the estimates alone. Gain within the intervals: another breaks one rule "
+    "less often for sure, and is worse in the other by less than the intervals tell. The intervals "
+    "are those of sampling: the error model is taken as right, in all settings alike."
 )
 
 
@@ -41,7 +45,7 @@ class TradePoint:
         first: Of the first rule; ``None`` where its run is not done.
         second: Of the second, likewise.
         standing: Beside all others; not known where an interval is none at its level.
-        by: The setting that it is dominated by, or has no gain over.
+        by: The setting that dominates it, or that it has no measured gain over.
     """
 
     name: str
@@ -106,20 +110,34 @@ def _placed(point: TradePoint, points: Sequence[TradePoint]) -> TradePoint:
     """The point with its standing among all of them."""
     if not (is_known(point.first) and is_known(point.second)):
         return point
-    worse: dict[Standing, list[TradePoint]] = {"dominated": [], "no gain": []}
+    better: dict[Standing, list[TradePoint]] = {
+        "dominated": [], "perhaps dominated": [], "small gain": []
+    }  # fmt: skip
     for other in points:
         if not (is_known(other.first) and is_known(other.second)):
             continue
         gains = _below(other.first, point.first), _below(other.second, point.second)
         losses = _below(point.first, other.first), _below(point.second, other.second)
         if all(gains):
-            worse["dominated"].append(other)
-        elif any(gains) and not any(losses):
-            worse["no gain"].append(other)
-    for standing, others in worse.items():
+            better["dominated"].append(other)
+        if _is_behind(_place(point), _place(other)):
+            better["perhaps dominated"].append(other)
+        if any(gains) and not any(losses):
+            better["small gain"].append(other)
+    for standing, others in better.items():
         if others:
-            return replace(point, standing=standing, by=min(others, key=_product).name)
-    return replace(point, standing="not dominated")
+            by = min(others, key=lambda one: math.prod(_place(one)))
+            return replace(point, standing=standing, by=by.name)
+    return replace(point, standing="front")
+
+
+def _is_behind(place: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether the other is less in one and no more in the other, by estimates."""
+    return place != other and all(b <= a for a, b in zip(place, other, strict=True))
+
+
+def _place(point: TradePoint) -> tuple[float, float]:
+    return _probability(point.first), _probability(point.second)
 
 
 def _below(one: Estimate | None, other: Estimate | None) -> bool:
@@ -129,19 +147,16 @@ def _below(one: Estimate | None, other: Estimate | None) -> bool:
     return one.ci_high < other.ci_low
 
 
-def _product(point: TradePoint) -> float:
-    return _probability(point.first) * _probability(point.second)
-
-
 def _probability(estimate: Estimate | None) -> float:
     return 1.0 if estimate is None else estimate.probability
 
 
 def trade_section(trade: Trade) -> Section:
-    """Settings in rows, the best first: how likely each breaks either rule, and where it stands."""
+    """Settings in rows, along the front and then those behind it: P(broken) of both rules."""
     order = list(STANDINGS)
     ranked = sorted(
-        trade.points, key=lambda one: (order.index(one.standing), _probability(one.first))
+        trade.points,
+        key=lambda one: (max(order.index(one.standing), len(ON_FRONT) - 1), _place(one)),
     )
     rows = tuple(
         (
@@ -152,7 +167,7 @@ def trade_section(trade: Trade) -> Section:
         )
         for point in ranked
     )
-    best = [point.name for point in ranked if point.standing == "not dominated"]
+    best = [point.name for point in ranked if point.standing in ON_FRONT]
     said: list[Block] = [Paragraph(f"Not dominated: {'; '.join(best) or 'none is known'}.")]
     unknown = sum(point.standing == "not known" for point in ranked)
     if unknown:

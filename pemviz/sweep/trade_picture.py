@@ -1,19 +1,20 @@
 """The picture of a trade: a point a setting, one rule to the right and the other upwards."""
 
 import io
+from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from pemviz.colors import BLUE, GREY, ORANGE
-from pemviz.sweep.trade import Standing, Trade, TradePoint, is_known
+from pemviz.sweep.trade import ON_FRONT, Standing, Trade, TradePoint, is_known
 
-STYLES: dict[Standing, tuple[str, str, str]] = {
-    "not dominated": (BLUE, "o", "not dominated"),
-    "no gain": (ORANGE, "s", "no measurable gain over another"),
-    "dominated": (GREY, "x", "dominated"),
+STYLES: Mapping[str, tuple[tuple[Standing, ...], str, str]] = {
+    "not dominated": (ON_FRONT, BLUE, "o"),
+    "perhaps dominated": (("perhaps dominated",), ORANGE, "s"),
+    "dominated": (("dominated",), GREY, "x"),
 }
-"""Colour, mark and words: told apart without colour, too."""
+"""Standings, colour and mark: told apart without colour, too."""
 MOST_NAMED = 12
 
 
@@ -25,11 +26,11 @@ def trade_png(trade: Trade) -> bytes | None:
     figure = Figure(figsize=(8.0, 5.6), layout="constrained")
     axes = figure.subplots()
     axes.spines[["top", "right"]].set_visible(False)
-    for standing, (color, mark, words) in STYLES.items():
-        points = [point for point in known if point.standing == standing]
+    for words, (standings, color, mark) in STYLES.items():
+        points = [point for point in known if point.standing in standings]
         if points:
             _draw(axes, points, color=color, mark=mark, label=f"{words} ({len(points)})")
-    _name(axes, [point for point in known if point.standing == "not dominated"])
+    _name(axes, [point for point in known if point.standing in ON_FRONT])
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(f"P({trade.rules[0]} broken)")
@@ -60,7 +61,7 @@ def _draw(axes: Any, points: list[TradePoint], *, color: str, mark: str, label: 
 
 
 def _name(axes: Any, points: list[TradePoint]) -> None:
-    """Names beside the settings that are worth a choice, above and below by turns."""
+    """Names beside the settings on the front, above and below by turns."""
     ranked = sorted(points, key=lambda one: one.first.probability if one.first else 0.0)
     for number, point in enumerate(ranked[:MOST_NAMED]):
         if point.first is None or point.second is None:

@@ -9,7 +9,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.reports.document import Caution
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import RULE, PlannedRun, make_plan, parse_variation
-from pemviz.sweep.trade import trade_of, trade_section
+from pemviz.sweep.trade import ON_FRONT, trade_of, trade_section
 from pemviz.sweep.trade_picture import trade_png
 from tests.reports.runs import estimate, warned
 
@@ -46,44 +46,45 @@ def test_a_run_is_of_one_rule_alone():
     assert run.setting == ((RULE, "gap"),)
 
 
-def test_settings_stand_where_their_intervals_say():
+def test_settings_stand_where_estimates_and_intervals_say():
     trade = trade_of(
         states_of(
             [
                 ((1e-6, 2e-6), (1e-2, 2e-2)),
                 ((4e-6, 8e-6), (1e-3, 2e-3)),
-                ((4e-6, 8e-6), (1.5e-2, 3e-2)),  # the first has fewer contacts and as many gaps
+                ((3.9e-6, 7.9e-6), (3e-3, 4e-3)),  # a little less than the second, surely more
+                ((4.1e-6, 8.1e-6), (1.5e-2, 3e-2)),
                 ((9e-6, 2e-5), (3e-3, 4e-3)),  # the second has fewer of both
             ]
         ),
         RULES,
     )
     assert [(one.name, one.standing, one.by) for one in trade.points] == [
-        ("0.01", "not dominated", ""),
-        ("0.02", "not dominated", ""),
-        ("0.03", "no gain", "0.02"),
-        ("0.04", "dominated", "0.02"),
+        ("0.01", "front", ""),
+        ("0.02", "front", ""),
+        ("0.03", "small gain", "0.02"),
+        ("0.04", "perhaps dominated", "0.02"),
+        ("0.05", "dominated", "0.02"),
     ]
     assert trade_png(trade).startswith(b"\x89PNG")
+    first = trade_section(trade).full[0].text
+    assert first == "Not dominated: 0.01; 0.03; 0.02."
 
 
 ENDS = st.tuples(st.integers(1, 12), st.integers(1, 5)).map(lambda two: (two[0], sum(two)))
 
 
 @given(st.lists(st.tuples(ENDS, ENDS), min_size=1, max_size=8))
-def test_dominated_is_as_every_pair_of_intervals_says(intervals):
+def test_the_front_is_that_of_the_estimates_and_dominated_what_intervals_set_apart(intervals):
     scaled = [tuple((1e-3 * low, 1e-3 * high) for low, high in pair) for pair in intervals]
+    places = [tuple((low * high) ** 0.5 for low, high in pair) for pair in scaled]
     trade = trade_of(states_of(scaled), RULES)
-
-    def better(one, other):
-        return [a[1] < b[0] for a, b in zip(one, other, strict=True)]
-
-    for mine, point in zip(scaled, trade.points, strict=True):
-        beaten = any(all(better(other, mine)) for other in scaled)
-        no_gain = any(any(better(other, mine)) and not any(better(mine, other)) for other in scaled)
-        expected = "dominated" if beaten else "no gain" if no_gain else "not dominated"
-        assert point.standing == expected
-    assert any(point.standing != "dominated" for point in trade.points)
+    for mine, place, point in zip(scaled, places, trade.points, strict=True):
+        behind = any(a <= place[0] and b <= place[1] and (a, b) != place for a, b in places)
+        beaten = any(all(a[1] < b[0] for a, b in zip(o, mine, strict=True)) for o in scaled)
+        assert (point.standing in ON_FRONT) == (not behind)
+        assert (point.standing == "dominated") == beaten
+    assert any(point.standing in ON_FRONT for point in trade.points)
 
 
 @pytest.mark.parametrize("fault", ["failed", "no interval", "doubtful"])
@@ -98,7 +99,7 @@ def test_what_is_not_known_is_compared_with_nothing(fault):
         "doubtful": replace(best, estimate=replace(best.estimate, diagnostics=(doubtful,))),
     }[fault]
     trade = trade_of([spoilt, *others], RULES)
-    assert [point.standing for point in trade.points] == ["not known", "not dominated"]
+    assert [point.standing for point in trade.points] == ["not known", "front"]
     cautions = [one.text for one in trade_section(trade).full if isinstance(one, Caution)]
     assert len(cautions) == 1
     assert cautions[0].startswith("1 of 2 settings are not known")
