@@ -1,5 +1,6 @@
 """Models of features of one's own: from any table to an answer with a simulator of one's own."""
 
+import json
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,10 +19,11 @@ from pemviz.pem import (
     own_features_of,
     save_pem,
 )
-from pemviz.pem.data.table import load_tracks
+from pemviz.pem.data.table import coded_as, load_tracks
 from pemviz.pem.fitting import linear_and_trees as boosting
 from pemviz.pem.fitting import networks
 from pemviz.pem.fitting.fit import MODEL_KINDS
+from pemviz.pem.judging.cross_validation import cross_validate
 
 NAMES = ("distance", "lux", "rain")
 RAIN = ("heavy", "light", "none")  # as they are sorted
@@ -231,3 +233,100 @@ def test_what_is_wrong_with_features_is_told_in_one_line(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert words in line
     assert not out.exists()
+
+
+def observed(check):
+    """The quantities of the data themselves, by name."""
+    return {one["name"]: one["observed"] for one in check["variants"][0]["quantities"]}
+
+
+def test_memory_and_check_take_own_features(tmp_path, capsys):
+    """The memory alone is the one that the fit has; the kind and the fitted model are checked."""
+    path = drone_table(tmp_path / "drone.csv", followed=True)
+    words = ["--table", str(path), "--model", "lr", "--features", FEATURES]
+    assert main(["pem", "memory", *words, "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["memory"]["fit"]
+    out = tmp_path / "own.safetensors"
+    assert main(["pem", "fit", *words, "--memory", "--out", str(out)]) == 0
+    assert load_pem(str(out)).card.memory["fit"] == alone
+    capsys.readouterr()
+    assert main(["pem", "check", *words, "--draws", "799", "--json"]) == 0
+    by_kind = json.loads(capsys.readouterr().out)["check"]
+    seen = ["pem", "check", "--table", str(path), "--pem", str(out), "--draws", "799", "--json"]
+    assert main(seen) == 0
+    fitted = json.loads(capsys.readouterr().out)["check"]
+    assert observed(fitted) == observed(by_kind) == observed(load_pem(str(out)).card.check)
+    assert fitted["same_data"]
+
+
+def test_a_model_is_checked_by_its_own_codes(tmp_path, capsys):
+    """A table without rain's first category has other codes of its own for the rest."""
+    path = drone_table(tmp_path / "drone.csv", followed=True)
+    own = fit_pem(load_table(path, features=NAMES), model="lr")
+    dry = tmp_path / "dry.csv"
+    header, *lines = path.read_text().splitlines()
+    dry.write_text("\n".join([header, *(one for one in lines if ",heavy," not in one)]) + "\n")
+    found = load_table(dry, features=NAMES)
+    rain = [line.split(",")[2] for line in lines if ",heavy," not in line]
+    coded = coded_as(found, own.own)
+    assert [RAIN[int(code)] for code in coded.salient[:, 2]] == rain
+    assert found.salient[:, 2].tolist() != coded.salient[:, 2].tolist()
+    np.testing.assert_array_equal(coded.salient[:, :2], found.salient[:, :2])
+    save_pem(own, tmp_path / "own.safetensors")
+    words = ["pem", "check", "--pem", str(tmp_path / "own.safetensors"), "--draws", "799"]
+    assert main([*words, "--table", str(dry), "--json"]) == 0
+    capsys.readouterr()
+    snow = tmp_path / "snow.csv"
+    snow.write_text(path.read_text().replace(",heavy,", ",snow,"))
+    wordy = tmp_path / "wordy.csv"
+    wordy.write_text("\n".join([header, *(f"far,{one.split(',', 1)[1]}" for one in lines)]) + "\n")
+    for table, said in ((snow, "no category 'snow', allowed: heavy"), (wordy, "has words, the")):
+        assert main([*words, "--table", str(table)]) == 2
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert said in line
+    assert main([*words, "--table", str(dry), "--features", FEATURES]) == 2
+    assert "features: not with pem" in capsys.readouterr().err
+
+
+def test_kinds_are_compared_on_own_features(table, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(boosting, "ROUNDS", 10)
+    words = ["pem", "evaluate", "--table", str(table), "--features", FEATURES, "--folds", "2"]
+    out = tmp_path / "report"
+    given = [*words, "--models", "lr", "gb-raw", "--workers", "1", "--out", str(out), "--json"]
+    assert main(given) == 0
+    lr, trees = json.loads(capsys.readouterr().out)["models"]
+    loaded = load_table(table, features=NAMES)
+    held_out = cross_validate(loaded, model="lr", folds=2)
+    assert lr["bce"] == pytest.approx(held_out.bce[0])
+    assert lr["paper_bce"] is None  # which is of another table
+    assert trees["roc_auc"] > 0.7
+    page = (out / "evaluation.md").read_text()
+    assert "## By class" not in page
+    assert main([*words, "--models", "gb-paper", "--out", str(tmp_path / "none")]) == 2
+    assert "gb-paper sees the paper's columns" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_bayesian_networks_take_own_features(table, tmp_path, pyro_installed, monkeypatch):
+    """Each posterior sample answers as numpy's own layers do, and files keep it."""
+    pyro_installed()
+    monkeypatch.setattr(networks, "BAYES_STEPS", 20)
+    loaded = load_table(table, features=NAMES)
+    pem = fit_pem(loaded, model="b-nn", seed=3)
+    assert pem.own.names == NAMES
+    member = pem.members[0]
+    distance, lux, rain = loaded.salient[:50].T
+    numbers = (np.stack([distance, lux], axis=1) - member.pose_mean) / member.pose_std
+    hidden = np.concatenate(
+        [np.stack([rain == code for code in range(3)], axis=1), numbers], axis=1
+    )
+    for place, layer in enumerate(member.layers):
+        hidden = hidden @ layer.weight.T + layer.bias
+        hidden = np.maximum(hidden, 0.0) if place < len(member.layers) - 1 else hidden
+    np.testing.assert_allclose(
+        member.logit(loaded.salient[:50]), hidden[:, 0], rtol=1e-4, atol=1e-4
+    )
+    save_pem(pem, tmp_path / "own.safetensors")
+    again = load_pem(str(tmp_path / "own.safetensors"))
+    assert (again.own, again.digest) == (pem.own, pem.digest)
+    np.testing.assert_array_equal(again.logit(loaded.salient), pem.logit(loaded.salient))

@@ -1,22 +1,30 @@
 """``pemviz pem check``: does an error model give tracks like those that were observed?"""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
+from pemviz.cli.pem.checks import (
+    check_out,
+    check_rate_hz,
+    check_seed,
+    feature_names,
+    tell_doubts,
+)
 from pemviz.cli.pem.memory import STATELESS, cross_fitted
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.columns import table_header
+from pemviz.pem.data.own_columns import named_columns
 from pemviz.pem.data.position_errors import AXIS_COLUMNS, PLANE_COLUMNS, load_error_csv
-from pemviz.pem.data.table import TrackTable, load_table, load_tracks
+from pemviz.pem.data.table import coded_as, load_table, load_tracks
 from pemviz.pem.fitting.fit import ModelKind
 from pemviz.pem.model_files import load_pem, load_position_errors
 from pemviz.pem.models.cards import PemCard
+from pemviz.pem.models.own_features import own_features_of
 from pemviz.pem.models.predictive_check import DRAWS, FEWEST_DRAWS, MOST_DRAWS
 
 DEFAULT_KIND: ModelKind = "gb-raw"
@@ -65,6 +73,9 @@ class CheckArguments:
     pem: str | None = None
     """A fitted model instead: a file (.safetensors) or a shipped name; with the memory on its
     card, if it has one."""
+    features: str = ""
+    """With model: columns that P(missed) depends on, between commas, in place of the salient ones,
+    as of 'pemviz pem fit'; a fitted model knows its own."""
     position_errors: str | None = None
     """With pem: the model of position errors (a file, or a shipped name) that is checked beside
     it; without, none is."""
@@ -119,7 +130,12 @@ def _of_kind(arguments: CheckArguments) -> "Checked":
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
     model = arguments.model or DEFAULT_KIND
-    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, needs_state=model != STATELESS)
+    tracks = load_tracks(
+        arguments.table,
+        rate_hz=arguments.rate_hz,
+        needs_state=model != STATELESS,
+        features=feature_names(arguments.features),
+    )
     tell_doubts(tracks.doubts)
     check_fittable(tracks)
     held_out = cross_fitted(tracks, model=model, folds=arguments.folds, seed=arguments.seed)
@@ -145,23 +161,27 @@ def _of_pem(arguments: CheckArguments) -> "Checked":
     assert arguments.pem is not None  # noqa: S101  asked for above
     pem = load_pem(arguments.pem, allow_python=arguments.allow_python)
     errors: ErrorLaw | None = None
-    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz)
+    own = own_features_of(pem)
+    features = () if own is None else named_columns(own)
+    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, features=features)
+    fitted_digests = {
+        tracks.obstacles.digest,
+        load_table(arguments.table, features=features).digest,
+    }
+    if own is not None:
+        tracks = replace(tracks, obstacles=coded_as(tracks.obstacles, own))
     if arguments.position_errors is not None:
         model = load_position_errors(arguments.position_errors)
         errors = law_of_model(load_error_csv(arguments.table, rate_hz=arguments.rate_hz), model)
     tell_doubts(tracks.doubts)
     card: object = getattr(pem, "card", None)
-    same = isinstance(card, PemCard) and _is_of(card, tracks, arguments.table)
+    # rows as they stand, or sorted
+    same = isinstance(card, PemCard) and card.data_digest in fitted_digests
     with progress_bar("data sets") as tell:
         return check_model(
             tracks, pem, errors=errors, same_data=same, draws=arguments.draws,
             seed=arguments.seed, on_progress=tell,
         )  # fmt: skip
-
-
-def _is_of(card: PemCard, tracks: TrackTable, path: Path) -> bool:
-    """Whether a card says that its model was fitted to these rows, as they stand or sorted."""
-    return card.data_digest in (tracks.obstacles.digest, load_table(path).digest)
 
 
 def _has_errors(table: Path) -> bool:
@@ -173,6 +193,8 @@ def _has_errors(table: Path) -> bool:
 def _validate(arguments: CheckArguments) -> None:
     if arguments.pem is not None and arguments.model is not None:
         raise PemError("model: not with pem, which is fitted already; give one of them")
+    if arguments.features and arguments.pem is not None:
+        raise PemError("features: not with pem, which knows its own")
     if arguments.position_errors is not None and arguments.pem is None:
         raise PemError("position_errors: only with pem; with model they are fitted out of fold")
     if arguments.folds < 2:

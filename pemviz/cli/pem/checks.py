@@ -32,6 +32,11 @@ def check_seed(seed: int) -> None:
         raise PemError(f"seed is {seed}, allowed: 0 or more")
 
 
+def feature_names(given: str) -> tuple[str, ...]:
+    """Names of columns that an option has between commas; none of an empty one."""
+    return tuple(name.strip() for name in given.split(",")) if given else ()
+
+
 def check_rate_hz(rate_hz: float | None) -> None:
     """Whether it is one, where it is given.
 

@@ -11,12 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from pemviz.bars import progress_bar
-from pemviz.cli.pem.checks import check_seed
+from pemviz.cli.pem.checks import check_seed, feature_names
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import load_table
 from pemviz.pem.fitting.fit import MODEL_KINDS, ModelKind
 
+OF_PAPER: ModelKind = "gb-paper"
 QUICK_MODELS = ("guess-mu", "lr")
 """Fitted sooner than a process starts."""
 SHOWN_COLUMNS = (
@@ -36,6 +37,9 @@ class EvaluateArguments:
     """Folder for evaluation.md, .csv, .json and reliability.png."""
     models: tuple[ModelKind, ...] = MODEL_KINDS
     """Kinds of models to compare; b-nn needs pyro-ppl."""
+    features: str = ""
+    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
+    'pemviz pem fit'. gb-paper, which sees the paper's columns, is then left out."""
     folds: int = 5
     """Number of folds (2 or more)."""
     seed: int = 0
@@ -53,7 +57,11 @@ def run(arguments: EvaluateArguments) -> int:
         PemError: bad arguments or table; one line says what, where and what is allowed.
     """
     _check(arguments)
-    table = load_table(arguments.table)
+    features = feature_names(arguments.features)
+    table = load_table(arguments.table, features=features)
+    models = arguments.models
+    if features and models == MODEL_KINDS:
+        models = tuple(kind for kind in models if kind != OF_PAPER)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.judging.cross_validation import (  # noqa: PLC0415
         as_json,
@@ -67,7 +75,7 @@ def run(arguments: EvaluateArguments) -> int:
     with writing(arguments.out):  # now, not after minutes of fitting
         arguments.out.mkdir(parents=True, exist_ok=True)
     evaluations = []
-    for model in arguments.models:
+    for model in models:
         with progress_bar(f"{model}: folds") as tell:
             evaluations.append(
                 cross_validate(
@@ -118,6 +126,8 @@ def _table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
 def _check(arguments: EvaluateArguments) -> None:
     if not arguments.models:
         raise PemError(f"models is empty, allowed: {', '.join(MODEL_KINDS)}")
+    if arguments.features and OF_PAPER in arguments.models and arguments.models != MODEL_KINDS:
+        raise PemError(f"models: {OF_PAPER} sees the paper's columns; with features use gb-raw")
     check_seed(arguments.seed)
     if not 1 <= arguments.workers <= 64:
         raise PemError(f"workers is {arguments.workers}, allowed: 1 to 64")

@@ -11,7 +11,13 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
+from pemviz.cli.pem.checks import (
+    check_out,
+    check_rate_hz,
+    check_seed,
+    feature_names,
+    tell_doubts,
+)
 from pemviz.cli.pem.memory import (
     fitted_memory,
     judged,
@@ -114,7 +120,7 @@ def run(arguments: FitArguments) -> int:
         return _fit_position_errors(arguments)
     if arguments.memory:
         return _fit_with_memory(arguments)
-    table = load_table(arguments.table, features=_features(arguments))
+    table = load_table(arguments.table, features=feature_names(arguments.features))
     name = arguments.name or arguments.out.stem
     provenance = Provenance(data=arguments.data or table.source, licence=arguments.licence)
     scores = _scores(table, arguments=arguments)
@@ -148,7 +154,9 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
-    tracks = load_tracks(arguments.table, rate_hz=arguments.rate_hz, features=_features(arguments))
+    tracks = load_tracks(
+        arguments.table, rate_hz=arguments.rate_hz, features=feature_names(arguments.features)
+    )
     tell_doubts(tracks.doubts)
     source = tracks.obstacles.source
     provenance = Provenance(data=arguments.data or source, licence=arguments.licence)
@@ -199,11 +207,6 @@ def _fit_position_errors(arguments: FitArguments) -> int:
         model = fit_position_errors(table, settings, on_progress=tell)
     write_position_errors(model, arguments.out)
     return 0
-
-
-def _features(arguments: FitArguments) -> tuple[str, ...]:
-    given = arguments.features
-    return tuple(name.strip() for name in given.split(",")) if given else ()
 
 
 def _validate(arguments: FitArguments) -> None:

@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pemviz.bars import progress_bar
-from pemviz.cli.pem.checks import check_out, check_rate_hz, check_seed, tell_doubts
+from pemviz.cli.pem.checks import (
+    check_out,
+    check_rate_hz,
+    check_seed,
+    feature_names,
+    tell_doubts,
+)
 from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.files.text_files import writing
 from pemviz.pem.data.table import TrackTable, load_tracks
@@ -38,6 +44,9 @@ class MemoryArguments:
     model: ModelKind = "gb-raw"
     """Kind of model that gives P(missed | state); guess-mu knows no state, so that all the state
     would explain passes for memory."""
+    features: str = ""
+    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
+    'pemviz pem fit'."""
     folds: int = 5
     """Parts of the sequences; a part's P(missed) comes from the others (2 or more)."""
     rate_hz: float | None = None
@@ -60,7 +69,10 @@ def run(arguments: MemoryArguments) -> int:
     check_rate_hz(arguments.rate_hz)
     check_out(arguments.out, ending=".md")
     tracks = load_tracks(
-        arguments.table, rate_hz=arguments.rate_hz, needs_state=arguments.model != STATELESS
+        arguments.table,
+        rate_hz=arguments.rate_hz,
+        needs_state=arguments.model != STATELESS,
+        features=feature_names(arguments.features),
     )
     tell_doubts(tracks.doubts)
     held_out, report = fitted_memory(

@@ -39,6 +39,11 @@ def bare_names(features: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
+def named_columns(own: OwnFeatures) -> tuple[str, ...]:
+    """What names the columns of a model's features, as :func:`own_columns` takes them."""
+    return tuple(f"{one.name}{CATEGORY * bool(one.categories)}" for one in own.features)
+
+
 def own_columns(columns: Columns, features: Sequence[str]) -> tuple[FloatArray, OwnFeatures]:
     """Salient variables ``[n, D]`` of a table's own columns, and what they are.
 

@@ -172,6 +172,29 @@ def _check_salient(path: Path, salient: FloatArray) -> None:
         raise PemError(f"{path}: {error}") from None
 
 
+def coded_as(table: SalientTable, own: OwnFeatures) -> SalientTable:
+    """A table of a model's features, with categories by the model's codes.
+
+    A table's own codes are of the categories that it happens to have.
+
+    Raises:
+        PemError: A feature is a number to one and a category to the other, or the model knows no
+            such category.
+    """
+    assert table.features is not None  # noqa: S101  it was read by their names
+    salient = table.salient.copy()
+    for place, (found, wanted) in enumerate(
+        zip(table.features.features, own.features, strict=True)
+    ):
+        if found.categories and not wanted.categories:
+            raise PemError(f"{table.source}: column {found.name!r} has words, the model a number")
+        if not found.categories:
+            continue
+        codes = np.array([own.code(wanted.name, name) for name in found.categories])
+        salient[:, place] = codes[salient[:, place].astype(np.int64)]
+    return replace(table, salient=salient, features=own)
+
+
 def save_table(table: SalientTable, path: Path) -> None:
     """Write the table as CSV, with as many digits as reading it back exactly needs."""
     lines = [",".join((*SALIENT_COLUMNS, OUTCOME_COLUMN))]

@@ -31,6 +31,7 @@ PAPER_TABLE_1: dict[ModelKind, tuple[float, float]] = {
     "b-nn": (0.238, 0.726),
 }
 """(binary cross-entropy, ROC-AUC) as printed in the paper's Table I."""
+NO_FIGURES = (None, None)
 COLUMNS = (
     *("model", "bce", "bce_std", "roc_auc", "roc_auc_std", "brier", "calibration_error"),
     *("fit_s", "paper_bce", "paper_roc_auc"),
@@ -323,7 +324,7 @@ def write_report(
 
 
 def summary_row(evaluation: ModelEvaluation) -> dict[str, Any]:
-    """One line of the table; None where the paper gives no figure."""
+    """One line of the table; None where the paper gives no figure, or features are one's own."""
     values = (
         evaluation.model,
         *evaluation.bce,
@@ -331,7 +332,7 @@ def summary_row(evaluation: ModelEvaluation) -> dict[str, Any]:
         evaluation.pooled.brier,
         evaluation.calibration_error,
         evaluation.fit_s,
-        *PAPER_TABLE_1.get(evaluation.model, (None, None)),
+        *(PAPER_TABLE_1.get(evaluation.model, NO_FIGURES) if evaluation.by_class else NO_FIGURES),
     )
     return dict(zip(COLUMNS, values, strict=True))
 
@@ -382,6 +383,8 @@ def _lines(evaluations: Sequence[ModelEvaluation], *, table: SalientTable) -> It
         ("class", [evaluation.by_class for evaluation in evaluations]),
         ("distance", [evaluation.by_distance for evaluation in evaluations]),
     ):
+        if not any(groups):  # of features of one's own
+            continue
         yield ""
         yield f"## By {title}"
         yield ""
