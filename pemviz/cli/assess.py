@@ -18,13 +18,14 @@ from typing import get_args
 from pemviz.cli.help import HelpPage
 from pemviz.cli.main import run_command
 from pemviz.cli.parsing import parse_arguments
+from pemviz.cli.pem.collect import is_of_images
 from pemviz.cli.record_arguments import parse as parse_record
 from pemviz.errors import EXIT_FAILED, ConfigError, PemError
 from pemviz.pem.data.columns import read_columns
 from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.recognise import CollectedFormat, Recognised, recognise
-from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
+from pemviz.pem.data.table import OUTCOME_COLUMN, RATE_COLUMN, TIME_COLUMN
 from pemviz.pem.fitting.fit import ModelKind
 
 PAGE = HelpPage(
@@ -34,8 +35,8 @@ From your detector's files to how likely it lets the car crash: prints each
 command that this stands for, and writes a report.
 
 Files, whose format is found out
-  --labels PATH          what was there: a folder of KITTI's or KITTI tracking's
-                         labels, of nuScenes' tables, MOTChallenge's sequences
+  --labels PATH          what was there: labels of KITTI, nuScenes, Argoverse,
+                         MOTChallenge, COCO, FiftyOne; rosbags (--labels-topic)
   --detections PATH      what the detector reported on the same frames
   --format NAME          where it is to be another; of a log --mapping FILE.toml
   --rate-hz 10           frames a second of sequences
@@ -56,6 +57,8 @@ More: --help OPTION, such as --help types; --help-all for everything""",
 OWN = "detector.safetensors"
 FOLDS = 5
 LARGE_OVERLAP = 0.5
+PLACES = (*("labels_topic", "detections_topic", "ego_topic", "labels_field", "detections_field"),)
+"""Options that say where in a file labels and detections are."""
 STAND_IN = "ml-nn"
 """Says how likely a miss is where the files know no places."""
 
@@ -66,7 +69,8 @@ class AssessArguments:
 
     labels: Path
     """What was there: a folder of KITTI label files (label_2) or tracking labels (label_02), of
-    nuScenes' tables (v1.0-mini) or of MOTChallenge's sequences; or a log's file, or the folder of
+    nuScenes' tables (v1.0-mini), of MOTChallenge's sequences or of Argoverse 2's annotations;
+    COCO's ground truth, FiftyOne's samples.json, rosbags; or a log's file, or the folder of
     published obstacles (salient_inputs.txt)."""
     detections: Path
     """What the detector reported on the same frames: a folder or a json file, as of 'pemviz pem
@@ -78,11 +82,22 @@ class AssessArguments:
     """How the detections are written, where it is not to be found out from the files."""
     mapping: Path | None = None
     """TOML that says where the columns of a log are, as of 'pemviz pem collect'."""
-    rate_hz: float = 10.0
-    """Frames a second of sequences (above 0), where the files do not tell."""
+    labels_topic: str = ""
+    """With rosbags: the topic of reference boxes."""
+    detections_topic: str = ""
+    """With rosbags: the topic of what the detector reported."""
+    ego_topic: str = ""
+    """With rosbags whose boxes are in a fixed frame: where the ego is."""
+    labels_field: str = ""
+    """With a data set of FiftyOne's: the field of labels."""
+    detections_field: str = ""
+    """With a data set of FiftyOne's: the field of what the detector reported."""
+    rate_hz: float | None = None
+    """Frames a second of sequences (above 0), where the files do not tell; left out, 10 are
+    assumed, and said to be."""
     types: tuple[str, ...] = ()
-    """Classes that count as obstacles in sequences; left out, cars, but in MOTChallenge's files
-    all."""
+    """Classes that count as obstacles in sequences; left out, cars, but in MOTChallenge's files and
+    in images all."""
     iou_above: float = LARGE_OVERLAP
     """A pair of boxes counts as a detection above this overlap (0 to below 1)."""
     score_from: float | None = None
@@ -217,16 +232,19 @@ class _Assessment:
         out = arguments.out / "observations.csv"
         words = ["--labels", str(files.labels), "--detections", str(files.detections)]
         words += ["--format", files.file_format, "--out", str(out)]
-        is_sequence = files.file_format in (*get_args(SequenceFormat), "motchallenge")
+        of_images = is_of_images(files.file_format, files.labels)
+        is_timed = files.file_format in ("rosbag", "argoverse")
+        is_sequence = of_images or files.file_format in (*get_args(SequenceFormat), "motchallenge")
+        words += self._places_of_boxes()
         if files.mapping is not None:
             words += ["--mapping", str(files.mapping)]
-        if is_sequence:
+        if is_sequence and arguments.rate_hz is not None:
             words += ["--rate-hz", f"{arguments.rate_hz:g}"]
-        if is_sequence or files.file_format == "nuscenes":
+        if is_sequence or is_timed or files.file_format == "nuscenes":
             words += ["--types", *self._types()] if self._types() else []
-        if files.file_format not in ("nuscenes", "log"):
+        if files.file_format not in ("nuscenes", "log", "argoverse"):
             words += ["--iou-above", f"{arguments.iou_above:g}"]
-        if files.file_format != "motchallenge":
+        if files.file_format != "motchallenge" and not of_images and not is_timed:
             words.append("--drop-unknown")
         if arguments.score_from is not None:
             words.append(f"--score-from={arguments.score_from:g}")
@@ -236,8 +254,15 @@ class _Assessment:
         self._command("pem", "collect", *words)
         return self._looked_at(out)
 
+    def _places_of_boxes(self) -> list[str]:
+        """Options that say where in the files labels and detections are."""
+        named = {name: getattr(self.arguments, name) for name in PLACES}
+        return [word for name, value in named.items() if value
+                for word in (f"--{name.replace('_', '-')}", value)]  # fmt: skip
+
     def _types(self) -> tuple[str, ...]:
-        is_any = self.files.file_format == "motchallenge"  # where most label persons alone
+        files = self.files  # in images and MOTChallenge's files classes have names of their own
+        is_any = files.file_format in ("motchallenge", "fiftyone") or files.labels.suffix == ".json"
         return self.arguments.types or (() if is_any else ("Car",))
 
     def _looked_at(self, path: Path) -> _Collected:
@@ -257,7 +282,10 @@ class _Assessment:
                 f"detections = {self.files.detections}: of {len(detected)} obstacles all are "
                 f"{what}: nothing to learn from; do frames and units belong together?"
             )
-        has_tracks = set(TRACK_COLUMNS) <= set(table.header)
+        moments = ({"frame", RATE_COLUMN}, {TIME_COLUMN})
+        has_tracks = {"sequence", "track"} <= set(table.header) and any(
+            names <= set(table.header) for names in moments
+        )
         return _Collected(
             path,
             has_places="x_m" in table.header,
@@ -292,7 +320,10 @@ class _Assessment:
             PemError: The table has a sequence alone.
         """
         if table.sequences < 2:
-            raise PemError(f"labels = {self.files.labels}: need two sequences at least")
+            raise PemError(
+                f"labels = {self.files.labels}: without places obstacles must be followed "
+                "(tracks), in two sequences at least"
+            )
         words = ["--table", str(table.path), "--model", "guess-mu"]
         words += ["--folds", str(min(FOLDS, table.sequences)), "--seed", str(self.arguments.seed)]
         words += ["--out", str(self.arguments.out / "memory.md")]

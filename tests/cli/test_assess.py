@@ -12,8 +12,12 @@ from pemviz.cli.parsing import parse_arguments
 from pemviz.pem.model_files import load_pem
 from tests.cli.command_kinds import COMMANDS
 from tests.comparable_results import comparable_result
+from tests.pem import test_argoverse
 from tests.pem.detector_files import write_kitti, write_lines, write_mot_challenge, write_tracking
+from tests.pem.ros_files import write_mcap
+from tests.pem.test_labelled_images import coco_files, fiftyone_file
 from tests.pem.test_nuscenes import annotation, beside, detection, write_nuscenes
+from tests.pem.test_rosbag import scene
 
 
 def assess_words(files, out, *words):
@@ -106,6 +110,58 @@ def test_the_commands_follow_from_what_the_files_hold(
     assert "--claim-below" in commands[-1]
 
 
+def write_argoverse(folder):
+    paths = test_argoverse.files(folder)
+    return paths["labels"], paths["detections"], []
+
+
+def write_bag(folder):
+    bag = write_mcap(folder / "drive.mcap", scene())
+    return bag, bag, ["--labels-topic", "/truth", "--detections-topic", "/found"]
+
+
+def write_coco(folder):
+    paths = coco_files(folder)
+    return paths["labels"], paths["detections"], []
+
+
+def write_fiftyone(folder):
+    path = fiftyone_file(folder)
+    return path, path, ["--labels-field", "ground_truth", "--detections-field", "predictions"]
+
+
+@pytest.mark.parametrize(
+    ("write", "file_format", "expected"),
+    [
+        (write_argoverse, "argoverse", ["pem collect", "pem fit", "record", "report"]),
+        (write_bag, "rosbag", ["pem collect", "pem fit", "record", "report"]),
+        (write_coco, "coco", ["pem collect", "pem memory", "record", "report"]),
+        (write_fiftyone, "fiftyone", ["pem collect", "pem memory", "record", "report"]),
+    ],
+)
+def test_logs_and_images_are_assessed_too(planned, tmp_path, capsys, write, file_format, expected):
+    labels, detections, options = write(tmp_path)
+    given = ["--preset", "town01", "--no-position-errors", *options]
+    assert main([*assess_words((labels, detections), tmp_path / "out"), *given]) == 0
+    printed_text = capsys.readouterr()
+    assert f"(format {file_format})" in printed_text.out
+    commands = printed(printed_text.out)
+    told = [" ".join(words[: 2 if words[0] == "pem" else 1]) for words in commands]
+    assert told == expected
+    assumed = "10 are assumed" in printed_text.err
+    assert assumed == (file_format in ("coco", "fiftyone"))
+    again = assess_words((labels, detections), tmp_path / "again", *given, "--rate-hz", "5")
+    assert main(again) == 0
+    assert "are assumed" not in capsys.readouterr().err
+
+
+def test_a_bag_s_topics_are_asked_for(tmp_path, capsys):
+    bag, _, _ = write_bag(tmp_path)
+    assert main(assess_words((bag, bag), tmp_path / "out")) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "labels_topic, detections_topic: must be given with format rosbag" in line
+
+
 def test_the_memory_of_files_without_places_goes_into_the_run(planned, tmp_path, capsys):
     assert main(assess_words(write_mot_challenge(tmp_path / "files"), tmp_path / "out")) == 0
     shown = capsys.readouterr()
@@ -153,6 +209,7 @@ def test_nonsense_is_told_in_one_line(tmp_path, capsys, monkeypatch, change, wor
     options = {"labels": labels, "detections": detections, "out": "out"}
     options |= {name: change[name] for name in options if name in change}
     given = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    change = {"--rate-hz": "10"} | change
     given += [word for name, value in change.items() if name[0] == "-" for word in (name, value)]
     assert main(["assess", *given]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()

@@ -213,3 +213,39 @@ def test_a_damaged_file_of_fiftyone_is_told_in_one_line(tmp_path, capsys, old, n
     files = {"labels": path, "detections": path, "out": tmp_path / "boxes.csv"}
     files |= {"labels-field": "ground_truth", "detections-field": "predictions"}
     assert_refused(capsys, "fiftyone", files, words)
+
+
+def test_pycocotools_sees_the_same_misses(tmp_path):
+    """Results as that program writes them, and each annotation matched or not by its evaluation."""
+    coco = pytest.importorskip("pycocotools.coco")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
+
+    def change(truth, found):  # COCO's ids begin at 1, and areas are given; one box lies apart
+        for number, one in enumerate(truth["annotations"], start=1):
+            width, height = one["bbox"][2:]
+            one.update(id=number, area=width * height)
+        for number, one in enumerate(found):
+            left, top, width, height = one["bbox"]
+            one["bbox"] = [left + (number % 4) * 0.2 * width, top, width, height]
+
+    files = coco_files(tmp_path, change)
+    truth = coco.COCO(str(files["labels"]))
+    results = truth.loadRes(str(files["detections"]))
+    files["detections"].write_text(json.dumps(results.dataset))
+    collect_coco(**files, options=CollectOptions(iou_above=0.5))
+    judge = evaluation.COCOeval(truth, results, "bbox")
+    judge.params.iouThrs = np.array([0.5])
+    judge.params.areaRng, judge.params.areaRngLbl = [[0, 1e10]], ["all"]
+    judge.evaluate()
+    matched = {}
+    for image in judge.evalImgs:
+        pairs = zip(image["gtIds"], image["gtMatches"][0].tolist(), strict=True)
+        matched |= {who: found > 0 for who, found in pairs}
+    assert len(matched) == VIDEOS * FRAMES * TRACKS
+    rows = {(row["sequence"], row["frame"], row["track"]): row for row in rows_of(files["out"])}
+    for annotation in truth.dataset["annotations"]:
+        image = truth.imgs[annotation["image_id"]]
+        video = f"drive-{image['video_id']}"
+        who = video, str(image["frame_id"]), str(annotation["track_id"])
+        assert rows[who]["detected"] == str(int(matched[annotation["id"]])), who
+    assert 0 < sum(matched.values()) < len(matched)

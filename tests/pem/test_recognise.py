@@ -8,8 +8,12 @@ import pytest
 from pemviz.errors import PemError
 from pemviz.files.shipped import asset_path
 from pemviz.pem.data.recognise import recognise
+from tests.pem import test_argoverse
 from tests.pem.detector_files import write_kitti, write_lines, write_mot_challenge, write_tracking
+from tests.pem.ros_files import write_mcap
+from tests.pem.test_labelled_images import fiftyone_file
 from tests.pem.test_nuscenes import annotation, beside, detection, write_nuscenes
+from tests.pem.test_rosbag import scene
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +42,32 @@ def files(tmp_path_factory):
     write_lines(log, {"salient_inputs.txt": ["# a comment", "1 9 0.3 4.2 1.7 1.5 4"],
                       "salient_labels.txt": ["1 0.1 0.1 3.1"]})  # fmt: skip
     paths["log"] = log, log
+    for name in ("argoverse", "images", "bags"):
+        (root / name).mkdir()
+    argoverse = test_argoverse.files(root / "argoverse")
+    paths["argoverse"] = argoverse["labels"], argoverse["detections"]
+    bag = write_mcap(root / "bags" / "drive.mcap", scene())
+    paths["rosbag"] = bag, bag.parent
+    samples = fiftyone_file(root / "images")
+    paths["fiftyone"] = samples, samples.parent
     return paths
 
 
 @pytest.mark.parametrize(
-    "name", ["kitti", "yolo", "coco", "mot", "ab3dmot", "nuscenes", "motchallenge", "log"]
+    "name",
+    [
+        "kitti",
+        "yolo",
+        "coco",
+        "mot",
+        "ab3dmot",
+        "nuscenes",
+        "motchallenge",
+        "log",
+        "argoverse",
+        "rosbag",
+        "fiftyone",
+    ],
 )
 def test_a_format_is_found_out_from_the_files(files, name):
     found = recognise(*files[name])

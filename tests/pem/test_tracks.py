@@ -9,6 +9,7 @@ from pemviz.pem.data.table import load_tracks
 from pemviz.pem.judging.cross_validation import split_folds
 from pemviz.pem.models.protocol import COLUMN
 from tests.conftest import shared
+from tests.pem.helpers import collect_command, rows_of
 
 CAR = (
     "{frame} {track} {type} {truncated} {occluded} 1.55 100 100 200 200 "
@@ -217,3 +218,14 @@ def test_kitti_tracking_is_collected_whole(tmp_path):
     # published figures of this detector, with labels of unknown occlusion: 0.79 and 0.021
     assert missed[next_frame & tracks.missed_before].mean() == pytest.approx(0.79, abs=0.02)
     assert missed[next_frame & ~tracks.missed_before].mean() == pytest.approx(0.02, abs=0.005)
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_a_rate_that_nobody_said_is_said_to_be_assumed(said, tmp_path, capsys):
+    paths = sequence(tmp_path, [label(0), label(1)], [MOT.format(frame=0)])
+    words = ["--rate-hz", "10"] if said else []
+    assert collect_command("mot", paths, *words) == 0
+    told = capsys.readouterr().err
+    assert ("no file tells the frames a second of 1 sequences: 10 are assumed" in told) != said
+    assert {row["rate_hz"] for row in rows_of(paths["out"])} == {"10"}
+    assert collect_command("mot", paths, "--rate-hz", "0") == 2

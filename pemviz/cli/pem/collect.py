@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast, get_args
+from typing import cast, get_args
 
 from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
@@ -18,6 +18,7 @@ from pemviz.pem.data.collect import (
     NUMBERED_CLASSES,
     CollectedCounts,
     CollectOptions,
+    TrackCounts,
     collect,
     collect_tracks,
 )
@@ -31,7 +32,6 @@ from pemviz.pem.data.recognise import CollectedFormat
 from pemviz.pem.data.rosbag import BagOptions, collect_rosbag
 from pemviz.pem.data.timed_boxes import TIME_TOLERANCE_S, MatchOptions
 
-CollectFormat = Literal[CollectedFormat, "argoverse", "rosbag", "fiftyone"]
 FASTEST_HZ = 1e4
 DEFAULT_HZ = 10.0
 
@@ -75,7 +75,7 @@ class CollectArguments:
     motchallenge; there also SEQUENCE/det/det.txt), or a json file (coco, nuscenes)."""
     out: Path = Path("obstacles.csv")
     """Table to write: CSV, with format log also .parquet."""
-    format: CollectFormat = "kitti"
+    format: CollectedFormat = "kitti"
     """How the detections are written: KITTI results (with a 3D place, the table has x_error_m and
     z_error_m for pemviz pem fit --position-errors), YOLO text (shares of the image), COCO json; of
     sequences: mot (frame, left, top, right, bottom, score) or ab3dmot (frame, class, the four
@@ -108,9 +108,10 @@ class CollectArguments:
     time_tolerance_s: float = TIME_TOLERANCE_S
     """With rosbag: stamps of two messages that belong together differ by this at most (above 0)
     [s]."""
-    rate_hz: float = DEFAULT_HZ
-    """Frames a second of sequences (above 0); nuScenes' tables and MOTChallenge's seqinfo.ini tell
-    it themselves."""
+    rate_hz: float | None = None
+    """Frames a second of sequences (above 0), by which memory times are in seconds; nuScenes'
+    tables, MOTChallenge's seqinfo.ini and time stamps tell it themselves. Where nothing does, 10
+    are assumed, and said to be."""
     types: tuple[str, ...] = ()
     """Classes that count as obstacles in sequences, such as Car; all if empty."""
     iou_above: float = PAPER_IOU
@@ -168,7 +169,7 @@ def run(arguments: CollectArguments) -> int:
     if arguments.format in ("motchallenge", *get_args(SequenceFormat)):
         _check_sequences(arguments)
         unit = "sequences"
-    elif _is_of_images(arguments):
+    elif is_of_images(arguments.format, arguments.labels):
         return _images(arguments, options)
     elif arguments.format in ("rosbag", "argoverse"):
         return _timed_boxes(arguments, score_from)
@@ -179,11 +180,9 @@ def run(arguments: CollectArguments) -> int:
     return _report(arguments.out, counts, words)
 
 
-def _is_of_images(arguments: CollectArguments) -> bool:
+def is_of_images(file_format: CollectedFormat, labels: Path) -> bool:
     """Whether labels are boxes in images, in a file of COCO's or FiftyOne's."""
-    return arguments.format == "fiftyone" or (
-        arguments.format == "coco" and arguments.labels.suffix == ".json"
-    )
+    return file_format == "fiftyone" or (file_format == "coco" and labels.suffix == ".json")
 
 
 def _images(arguments: CollectArguments, options: CollectOptions) -> int:
@@ -200,11 +199,12 @@ def _images(arguments: CollectArguments, options: CollectOptions) -> int:
         counts = collect_from(
             labels=arguments.labels,
             out=arguments.out,
-            rate_hz=arguments.rate_hz,
+            rate_hz=_rate_hz(arguments),
             types=arguments.types,
             options=options,
             on_progress=on_progress,
         )
+    _tell_assumed(arguments, counts)
     return _report(
         arguments.out,
         counts,
@@ -258,6 +258,20 @@ def _report(out: Path, counts: CollectedCounts, words: str) -> int:
     return 0
 
 
+def _rate_hz(arguments: CollectArguments) -> float:
+    return DEFAULT_HZ if arguments.rate_hz is None else arguments.rate_hz
+
+
+def _tell_assumed(arguments: CollectArguments, counts: TrackCounts) -> None:
+    """Say where a rate is taken that nobody has said."""
+    if arguments.rate_hz is None and counts.of_given_rate:
+        counts.doubts += (
+            f"no file tells the frames a second of {counts.of_given_rate} sequences: "
+            f"{DEFAULT_HZ:g} are assumed, and memory times are as wrong as that is; say it by "
+            "--rate-hz",
+        )
+
+
 def _collected(
     arguments: CollectArguments, options: CollectOptions, on_progress: Callable[[int, int], None]
 ) -> tuple[CollectedCounts, str]:
@@ -294,11 +308,12 @@ def _collected(
             labels=labels,
             detections=detections,
             out=out,
-            rate_hz=arguments.rate_hz,
+            rate_hz=_rate_hz(arguments),
             types=arguments.types,
             options=options,
             on_progress=on_progress,
         )
+        _tell_assumed(arguments, tracks)
         return tracks, (
             f"{tracks.sequences} sequences, {tracks.tracks} tracks, {tracks.observations} "
             f"observations, {tracks.missed} missed, {tracks.gaps} gaps in tracks; left out: "
@@ -349,7 +364,7 @@ def _check_matching(arguments: CollectArguments) -> None:
         )
     if is_nuscenes and arguments.iou_above != PAPER_IOU:
         raise PemError("iou_above: not with format nuscenes, which centres_below_m matches")
-    if is_nuscenes and arguments.rate_hz != DEFAULT_HZ:
+    if is_nuscenes and arguments.rate_hz is not None:
         raise PemError("rate_hz: not with format nuscenes, whose tables tell it")
     if not 0.0 < arguments.centres_below_m < math.inf:
         raise PemError(f"centres_below_m is {arguments.centres_below_m:g}, allowed: above 0")
@@ -361,7 +376,7 @@ def _check_sequences(arguments: CollectArguments) -> None:
     Raises:
         PemError: a rate that is none, or matching by class.
     """
-    if not 0.0 < arguments.rate_hz <= FASTEST_HZ:
-        raise PemError(f"rate_hz is {arguments.rate_hz:g}, allowed: above 0 to {FASTEST_HZ:g}")
+    if not 0.0 < _rate_hz(arguments) <= FASTEST_HZ:
+        raise PemError(f"rate_hz is {_rate_hz(arguments):g}, allowed: above 0 to {FASTEST_HZ:g}")
     if arguments.class_aware:
         raise PemError("class_aware: sequences are matched whatever a detection's class; use types")

@@ -37,15 +37,15 @@ class EvaluateArguments:
     """Folder for evaluation.md, .csv, .json and reliability.png."""
     models: tuple[ModelKind, ...] = MODEL_KINDS
     """Kinds of models to compare; b-nn needs pyro-ppl."""
-    features: str = ""
-    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
-    'pemviz pem fit'. gb-paper, which sees the paper's columns, is then left out."""
     folds: int = 5
     """Number of folds (2 or more)."""
     seed: int = 0
     """Seed of the fits (0 or more)."""
     workers: int = 2
     """Folds fitted at once, each in its own process (1 to 64); the result is the same."""
+    features: str = ""
+    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
+    'pemviz pem fit'. gb-paper, which sees the paper's columns, is then left out."""
     json: bool = False
     """Print the results as one JSON object instead of a table."""
 
@@ -59,9 +59,9 @@ def run(arguments: EvaluateArguments) -> int:
     _check(arguments)
     features = feature_names(arguments.features)
     table = load_table(arguments.table, features=features)
-    models = arguments.models
+    models: tuple[ModelKind, ...] = arguments.models
     if features and models == MODEL_KINDS:
-        models = tuple(kind for kind in models if kind != OF_PAPER)
+        models = tuple(kind for kind in MODEL_KINDS if kind != OF_PAPER)
     # scikit-learn and torch take seconds to import: not before the arguments are known good.
     from pemviz.pem.judging.cross_validation import (  # noqa: PLC0415
         as_json,

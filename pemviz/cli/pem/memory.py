@@ -44,9 +44,6 @@ class MemoryArguments:
     model: ModelKind = "gb-raw"
     """Kind of model that gives P(missed | state); guess-mu knows no state, so that all the state
     would explain passes for memory."""
-    features: str = ""
-    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
-    'pemviz pem fit'."""
     folds: int = 5
     """Parts of the sequences; a part's P(missed) comes from the others (2 or more)."""
     rate_hz: float | None = None
@@ -55,6 +52,9 @@ class MemoryArguments:
     """Seed of fits and simulation (0 or more)."""
     out: Path | None = None
     """Page of markdown to write (.md), and a picture of the same name (.png); none if not given."""
+    features: str = ""
+    """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
+    'pemviz pem fit'."""
     json: bool = False
     """Print the results as one JSON object instead of text."""
 

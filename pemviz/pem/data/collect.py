@@ -134,6 +134,8 @@ class TrackCounts(CollectedCounts):
     """Detections of a lower score than asked for."""
     other_types: int = 0
     """Labels left out since they are of another class than asked for."""
+    of_given_rate: int = 0
+    """Sequences whose frames a second no file tells: they have the rate that was given."""
 
     def add_sequence(self, rows: Iterable[TrackRow]) -> list[str]:
         """Count a sequence's rows; gives their lines, by track and frame."""
@@ -275,6 +277,7 @@ def collect_tracks(
             line = ",".join((*cells, *errors) if placed else cells)
             rows.append((each.track, each.frame, detected, line))
         lines += counts.add_sequence(rows)
+        counts.of_given_rate += 1
         if on_progress is not None:
             on_progress(done, len(files))
     counts.judge(counts.observations, labels=labels, types=types, shift=shift)

@@ -224,6 +224,7 @@ def _count(
     counts.observations = len(rows)
     counts.sequences = len({image.sequence for image in images})
     counts.tracks = len({key[:2] for key, _ in rows}) if is_followed else 0
+    counts.of_given_rate = counts.sequences if is_followed else 0
     keys = sorted(key for key, _ in rows) if is_followed else []
     counts.gaps = sum(
         one[:2] == other[:2] and other[2] > one[2] + 1 for one, other in pairwise(keys)

@@ -105,7 +105,9 @@ def collect_mot(
         for frame, detection in read:
             found.setdefault(frame, []).append(detection)
         truth = list(parsed_lines(file, _obstacle, on_bad_line=on_bad_line, separator=","))
-        rate = _sequence_rate_hz(file) or rate_hz
+        told = _sequence_rate_hz(file)
+        rate = rate_hz if told is None else told
+        counts.of_given_rate += told is None
         boxes = ((each.frame, each.box_px, each) for each in truth)
         rows: list[TrackRow] = []
         for each, overlap, _ in match_frames(boxes, found, options, counts, shift):

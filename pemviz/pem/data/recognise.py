@@ -18,13 +18,19 @@ from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.shipped import asset_path
 from pemviz.files.text_files import open_text
+from pemviz.pem.data.argoverse import ANNOTATIONS
 from pemviz.pem.data.detections import AB3DMOT_COLUMNS, MOT_COLUMNS, DetectionFormat, SequenceFormat
+from pemviz.pem.data.fiftyone import SAMPLES
 from pemviz.pem.data.kitti_labels import LABEL_COLUMNS
 from pemviz.pem.data.mot_challenge import COLUMNS, WORLD
+from pemviz.pem.data.ros_bags import holds_bags
 from pemviz.pem.data.table import INPUTS_FILE, LABELS_FILE
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 
-CollectedFormat = Literal[DetectionFormat, SequenceFormat, "nuscenes", "motchallenge", "log"]
+CollectedFormat = Literal[
+    DetectionFormat, SequenceFormat, "nuscenes", "motchallenge", "log", "argoverse", "rosbag",
+    "fiftyone",
+]  # fmt: skip
 """How a detector's files are written."""
 FileFormat = Literal[CollectedFormat, "table"]
 """Or they are a table of obstacles and outcomes already."""
@@ -34,6 +40,8 @@ NUSCENES, MOT_CHALLENGE = "nuScenes' tables", "MOTChallenge's ground truth"
 ROWS = "rows of a log"
 KITTI_RESULTS, YOLO, COCO = "KITTI results", "YOLO text", "COCO json"
 MOT, AB3DMOT = "boxes by frame (mot)", "3D boxes by frame (ab3dmot)"
+ARGOVERSE, ARGOVERSE_FOUND = "Argoverse 2's annotations", "a feather file of detections"
+BAGS, FIFTYONE = "rosbags", "a data set of FiftyOne's"
 NUSCENES_RESULTS, MOT_RESULTS = "nuScenes' detection results", "MOTChallenge's detections"
 PAIRS: Mapping[tuple[str, str], FileFormat] = MappingProxyType(
     {
@@ -46,6 +54,9 @@ PAIRS: Mapping[tuple[str, str], FileFormat] = MappingProxyType(
         (NUSCENES, NUSCENES_RESULTS): "nuscenes",
         (MOT_CHALLENGE, MOT_RESULTS): "motchallenge",
         (ROWS, ROWS): "log",
+        (ARGOVERSE, ARGOVERSE_FOUND): "argoverse",
+        (BAGS, BAGS): "rosbag",
+        (FIFTYONE, FIFTYONE): "fiftyone",
     }
 )
 """The format of labels and detections that belong together."""
@@ -138,6 +149,12 @@ def _folder_kind(path: Path, role: Literal["labels", "detections"]) -> str:
         raise PemError(f"{role} = {path}: the folder is empty")
     if all(is_file(path / name) for name in NUSCENES_TABLES):
         return NUSCENES
+    if holds_bags(path):
+        return BAGS
+    if is_file(path / SAMPLES):
+        return FIFTYONE
+    if any(is_file(one / ANNOTATIONS) for one in (path, *path.iterdir())):
+        return ARGOVERSE
     inner = "gt/gt.txt" if role == "labels" else "det/det.txt"
     if any(path.glob(f"*/{inner}")):
         return MOT_CHALLENGE if role == "labels" else MOT_RESULTS
@@ -150,11 +167,17 @@ def _folder_kind(path: Path, role: Literal["labels", "detections"]) -> str:
 
 
 def _file_kind(path: Path, role: Literal["labels", "detections"]) -> str:
+    if holds_bags(path):
+        return BAGS
+    if path.suffix == ".feather":
+        return ARGOVERSE if role == "labels" else ARGOVERSE_FOUND
     if path.suffix == ".json":
         with open_text(path) as stream:
             start = stream.read(FIRST_CHARACTERS).lstrip()
         if not start:
             raise PemError(f"{role} = {path}: the file is empty")
+        if start[0] == "{" and '"samples"' in start:
+            return FIFTYONE
         if start[0] == "{" and '"results"' in start:
             return NUSCENES_RESULTS
         is_coco = start[0] == "[" or '"annotations"' in start or '"images"' in start

@@ -69,6 +69,11 @@ def bags_in(path: Path) -> dict[str, Path]:
     return found
 
 
+def holds_bags(path: Path) -> bool:
+    """Whether it is a bag, or a folder with some."""
+    return _is_bag(path) or (is_folder(path) and any(_is_bag(one) for one in path.iterdir()))
+
+
 def _is_bag(path: Path) -> bool:
     if is_folder(path):
         return is_file(path / METADATA)
