@@ -63,5 +63,6 @@ def _draw(row: Row, column: Callable[[float], int]) -> str:
         if _drawable(value):
             line[column(math.log10(value))] = row.mark
     if not "".join(line).strip():
-        return "(nothing to draw: no violation was seen)"
+        is_known = row.low is not None or row.values
+        return "(nothing to draw: no violation was seen)" if is_known else "(not known)"
     return "".join(line)

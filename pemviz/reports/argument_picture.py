@@ -21,6 +21,8 @@ from pemviz.reports.escape import printable_line
 
 WIDTH_PX, GAP_PX, BETWEEN_PX, BENEATH_PX = 1060, 26, 12, 6
 LINE_PX, TEXT_PX, CHARACTER_PX, MARGIN_PX = 12.5, 10, 5.35, 8
+BOLD_PX = 6.2
+"""A character of a name."""
 WIDEST_PX = 300
 MOST_LINES: Mapping[ElementKind, int] = {
     "Goal": 8, "Strategy": 5, "Solution": 4, "Context": 5, "Assumption": 7, "Justification": 5,
@@ -150,7 +152,8 @@ def _shape(box: _Box) -> str:
             f"<path d='M{x + width - 15:.1f} {y + 9:.1f}l6 -6l6 6l-6 6z' fill='#ffffff' "
             f"stroke='{color}' stroke-width='1.3'/>"
         )
-        sign = " (undeveloped)"
+        room = width - MARGIN_PX - 18 - BOLD_PX * len(one.name)
+        sign = " (undeveloped)" if BOLD_PX * len(" (undeveloped)") < room else ""
     left = x + MARGIN_PX + 3
     words = [text(f"{one.name}{sign}", left, y + 12, color=color, size=TEXT_PX, weight="600")]
     words += [
