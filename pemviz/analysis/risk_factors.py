@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.special import betaincinv, expit, gammaincinv, ndtri
+from scipy.special import betaincinv, expit, gammaincinv, ndtri, stdtrit
 
-from pemviz.arrays import BoolArray, FloatArray, row_sums
+from pemviz.arrays import BoolArray, FloatArray, IntArray, row_sums
 
 Side = Literal["lower", "upper"]
 FactorKind = Literal["encounters", "violation", "harm"]
@@ -217,12 +217,15 @@ class ImpactSpeeds:
         share: Of the violations, by weight; 1 together.
         squares: Sum of squares of the single rollouts' shares in each group.
         hits: Whether something is hit.
+        runs: Of particles that have ancestors in common: the share of each group in each of the
+            independent runs; empty of independent rollouts.
     """
 
     speed_mps: tuple[float, ...]
     share: tuple[float, ...]
     squares: tuple[float, ...]
     hits: tuple[bool, ...]
+    runs: tuple[tuple[float, ...], ...] = ()
 
     @property
     def hit_share(self) -> float:
@@ -239,11 +242,13 @@ class ImpactSpeeds:
         return found
 
 
-def impact_speeds(speed_mps: FloatArray, *, hit: BoolArray, weight: FloatArray) -> ImpactSpeeds:
+def impact_speeds(
+    speed_mps: FloatArray, *, hit: BoolArray, weight: FloatArray, run: IntArray | None = None
+) -> ImpactSpeeds:
     """Groups of violating rollouts ``[V]`` with speeds [m/s], whether they hit, and weights.
 
     Groups are of equal width in speed, each at its mean by weight: so many that a curve does not
-    tell the difference.
+    tell the difference. ``run`` numbers the independent run of each, where rollouts are particles.
     """
     share = weight / float(np.sum(weight))
     width = max(float(speed_mps.max(initial=0.0)), 1e-9) / MOST_SPEEDS
@@ -251,11 +256,14 @@ def impact_speeds(speed_mps: FloatArray, *, hit: BoolArray, weight: FloatArray) 
     total = np.bincount(group, share)
     used = np.flatnonzero(total)
     mean = np.bincount(group, share * np.where(hit, speed_mps, 0.0))[used] / total[used]
+    of_run = () if run is None else (run == number for number in np.unique(run).tolist())
+    parts = (np.bincount(group[own], share[own], minlength=total.size)[used] for own in of_run)
     return ImpactSpeeds(
         speed_mps=tuple(mean.tolist()),
         share=tuple(total[used].tolist()),
         squares=tuple(np.bincount(group, share**2)[used].tolist()),
         hits=tuple((used > 0).tolist()),
+        runs=tuple(tuple(part.tolist()) for part in parts),
     )
 
 
@@ -264,7 +272,8 @@ class CurveHarm:
     """P(harm | violation) by a curve over impact speeds; without a hit there is no harm.
 
     The coefficients are drawn, once for all hazards with the same curve, and so is the error of the
-    average over a finite number of violating rollouts (delta method, on a logarithmic scale).
+    average over a finite number of violating rollouts (delta method, on a logarithmic scale; of
+    particles by what differs between runs, with Student's t).
     """
 
     curve: InjuryCurve
@@ -302,20 +311,27 @@ class CurveHarm:
     def _drawn(self, draws: Draws) -> FloatArray:
         mean, error = self._mean(*self.curve.coefficients(draws))
         relative = np.divide(error, mean, out=np.zeros_like(mean), where=mean > 0.0)
-        z = ndtri(draws.share((self.curve, self.speeds)))
+        share, runs = draws.share((self.curve, self.speeds)), len(self.speeds.runs)
+        z = np.asarray(stdtrit(runs - 1, share)) if runs > 1 else ndtri(share)
         return np.minimum(mean * np.exp(relative * z), 1.0)
 
     def _mean(self, intercept: FloatArray, slope: FloatArray) -> tuple[FloatArray, FloatArray]:
         """P(harm) over the violations, and its standard error, for coefficients ``[N]``."""
         speed, share = np.array(self.speeds.speed_mps), np.array(self.speeds.share)
         squares, hits = np.array(self.speeds.squares), np.array(self.speeds.hits)
+        runs = np.array(self.speeds.runs)
         means, errors = list[FloatArray](), list[FloatArray]()
         for first in range(0, intercept.size, AT_ONCE):
             rows = slice(first, first + AT_ONCE)
             risk = hits * expit(intercept[rows, np.newaxis] + slope[rows, np.newaxis] * speed)
             mean = row_sums(risk * share)
             means.append(mean)
-            errors.append(np.sqrt(row_sums((risk - mean[:, np.newaxis]) ** 2 * squares)))
+            beyond = risk - mean[:, np.newaxis]
+            if len(runs) > 1:
+                between = row_sums((beyond @ runs.T) ** 2) * len(runs) / (len(runs) - 1)
+                errors.append(np.sqrt(between))
+            else:
+                errors.append(np.sqrt(row_sums(beyond**2 * squares)))
         return np.concatenate(means), np.concatenate(errors)
 
 

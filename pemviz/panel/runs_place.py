@@ -7,6 +7,7 @@ from urllib.parse import unquote
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
 from pemviz.panel.arguments import Arguments
+from pemviz.panel.budgets import Budgets
 from pemviz.panel.hub import Hub
 from pemviz.panel.ranking import rank, ranking_csv
 from pemviz.panel.run_data import RunData
@@ -26,12 +27,14 @@ class RunsPlace:
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
         self._held: dict[str, RunData] = {}
+        self._budgets = Budgets(hub.recordings.root)
 
     @property
     def requests(self) -> Mapping[str, Request]:
         """What a page may ask for, by name."""
         return {
             "runs": self._runs,
+            "budgets": lambda page, asked: self._budgets.rows(),  # noqa: ARG005
             "verify": self._verify,
             "note": self._note,
             "delete": self._delete,

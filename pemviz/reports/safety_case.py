@@ -128,13 +128,14 @@ def _many(runs: Sequence[CaseRun], *, below: float | None) -> str:
 def _budget(judged: JudgedBudget) -> str:
     """Is it met, hazard by hazard, and the argument drawn."""
     sections = {section.key: section for section in budget_document(judged).sections}
-    first = html.blocks_html(sections.pop("verdict").full)
+    first, after = sections.pop("verdict"), sections.pop("next")
+    head = html.blocks_html(first.full) + html.heading(after.title) + html.blocks_html(after.full)
     picture = _picture(argument_of_budget(judged))
     parts = "".join(
         f"<h2>{html.words(section.title)}</h2>{html.blocks_html(section.full)}"
         for section in sections.values()
     )
-    return f"<div class='head'>{first}</div><h2>Argument</h2>{picture}{parts}"
+    return f"<div class='head'>{head}</div><h2>Argument</h2>{picture}{parts}"
 
 
 def _picture(argument: Argument) -> str:

@@ -337,7 +337,7 @@ def run_impact_speeds(run: EvidenceRun, rule: str | None, *, where: str) -> Impa
         raise ConfigError(message)
     try:
         broken = arrays.get(f"{BROKEN}{rule}", arrays["violated"])
-        rows, weight = _weights(arrays, broken, rule, run.result)
+        rows, weight, of_run = _weights(arrays, broken, rule, run.result)
         if rows.size == 0:
             return None
         if IMPACT_SPEED in arrays:
@@ -346,7 +346,7 @@ def run_impact_speeds(run: EvidenceRun, rule: str | None, *, where: str) -> Impa
         else:
             gaps = np.stack([arrays[GAP][row] for row in rows.tolist()])
             speed, hit = contact_speeds(gaps, dt_s=config.dt_s)
-        return impact_speeds(speed, hit=hit, weight=weight)
+        return impact_speeds(speed, hit=hit, weight=weight, run=of_run)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         message = f"rollouts {path}: do not fit together ({error})"
         raise InputError(message) from error
@@ -366,8 +366,11 @@ def contact_speeds(gap_m: FloatArray, *, dt_s: float) -> tuple[FloatArray, BoolA
 
 def _weights(
     arrays: Mapping[str, AnyArray], broken: AnyArray, rule: str | None, result: RunResult
-) -> tuple[IntArray, FloatArray]:
-    """The violating rollouts that carry the estimate, and their parts of it up to a constant."""
+) -> tuple[IntArray, FloatArray, IntArray | None]:
+    """The violating rollouts that carry the estimate, and their parts of it up to a constant.
+
+    Of particles also the run of each.
+    """
     estimate = result.estimate
     assert estimate is not None  # noqa: S101  looked at before
     every = np.flatnonzero(broken)
@@ -376,9 +379,10 @@ def _weights(
         zip(arrays["repetition"][every].tolist(), arrays["stage"][every].tolist(), strict=True)
     )
     if by_name(estimate.method).interval_basis == "runs":  # particles of a run have equal parts
-        of_run = {place: places.count(place) for place in set(places)}
-        parts = [stages[place].probability / of_run[place] for place in places]
-        return every, np.array(parts)
+        number = {place: n for n, place in enumerate(dict.fromkeys(places))}
+        run = np.array([number[place] for place in places], dtype=np.int64)
+        of_run = np.array([stages[place].probability for place in number])
+        return every, (of_run / np.bincount(run, minlength=len(number)))[run], run
     own = arrays.get(f"{LOG_WEIGHT}.{rule}", arrays.get(LOG_WEIGHT))
     if own is not None:
         log_weight = np.asarray(own[every])
@@ -390,7 +394,7 @@ def _weights(
     held = np.isfinite(log_weight)
     every, log_weight = every[held], log_weight[held]
     top = float(np.max(log_weight, initial=-np.inf))
-    return every, np.exp(log_weight - top) if every.size else log_weight
+    return every, np.exp(log_weight - top) if every.size else log_weight, None
 
 
 def _cautions(hazards: Sequence[JudgedHazard]) -> Iterator[str]:

@@ -180,6 +180,18 @@ def test_of_one_speed_the_curve_s_interval_is_logit_normal():
     assert high == pytest.approx(expit(-1.4 + 1.959964 * sd), rel=0.01)
 
 
+def test_particles_of_one_run_are_no_independent_witnesses():
+    """A hundred copies in each of six runs tell as much as six rollouts do."""
+    of_run = np.random.default_rng(5).gamma(3.0, 3.0, 6)
+    speed, run = np.repeat(of_run, 100), np.repeat(np.arange(6), 100)
+    hit, weight = np.ones(600, dtype=np.bool_), np.ones(600)
+    harm = CurveHarm(curve(), impact_speeds(speed, hit=hit, weight=weight, run=run), "made up")
+    risk = expit(-5.0 + 0.4 * of_run)
+    mean, error = risk.mean(), stats.sem(risk)
+    factor = math.exp(stats.t.ppf(0.975, 5) * error / mean)
+    assert harm.ends(Draws()) == pytest.approx((mean / factor, mean * factor), rel=0.02)
+
+
 def test_draws_are_the_same_for_the_same_budget_and_even():
     first, second = (Draws(count=1000).share("a") for _ in range(2))
     assert np.array_equal(first, second)

@@ -16,6 +16,7 @@ from pemviz.panel.run_place import DOCUMENTS, DRAWN, RunPlace
 from pemviz.panel.runs_place import RunsPlace
 from pemviz.panel.site import dumps
 from pemviz.runs.answers import answers
+from tests.budgets import hazard, write_budget
 
 
 class Scene:
@@ -156,3 +157,23 @@ def test_a_summary_of_a_run_without_an_estimate_says_so(live_run):
     found = ask(RunPlace(lambda name: bare), "open", run="x")
     assert found["summary"]["sampling"] == "no estimate"
     assert found["summary"]["probability"] is None
+
+
+def test_budgets_beside_the_runs_are_judged_again_when_they_change(place, kept):
+    root = place._hub.recordings.root
+    path = root / "case.budget.toml"
+    assert ask(place, "budgets") == []
+    one = hazard(runs=(kept[0].name,), extra="uncertainty = 'sampling'")
+    write_budget(path, one, hazard(name="other"), accepted=1e-9)
+    (row,) = ask(place, "budgets")
+    assert (row["name"], row["mark"]) == ("case", "no")
+    assert row["verdict"].startswith("not met")
+    assert "Which factor decides" in row["page"]
+    write_budget(path, hazard(name="other"), accepted=1.0)
+    assert ask(place, "budgets")[0]["mark"] == "yes"
+    path.write_text("[")
+    (row,) = ask(place, "budgets")
+    assert row["mark"] == "open"
+    assert "not valid TOML" in row["verdict"]
+    path.unlink()
+    assert ask(place, "budgets") == []

@@ -127,6 +127,30 @@ def test_an_injury_curve_is_averaged_over_the_violating_rollouts(folder):
     assert one.risk.hazards[0].harm.value == pytest.approx(np.average(risk, weights=weight), 1e-3)
 
 
+def test_of_splitting_it_is_the_runs_that_tell_how_sure_p_harm_is(tmp_path):
+    """By the particles' number it would look several times surer than it is."""
+    config = replace(WEIGHED, method="splitting", stages=8, rollouts=300)
+    make_run(tmp_path / "run", config)
+    one = judged(tmp_path, hazard(runs=("run",), extra=SAMPLING, harm=CURVE))
+    arrays = read_arrays(tmp_path / "run" / "rollouts.npz")
+    rows = np.flatnonzero(arrays["violated"])
+    speed, _ = contact_speeds(arrays["gap_m"][rows], dt_s=0.05)
+    risk, run = expit(-4.0 + 0.36 * speed), arrays["stage"][rows]
+    stages = {stage.stage: stage for stage in read_result(tmp_path / "run").stages}
+    numbers = np.unique(run).tolist()
+    share = np.array([stages[number].probability for number in numbers])
+    share /= share.sum()
+    each = np.array([risk[run == number].mean() for number in numbers])
+    mean = float(share @ each)
+    error = math.sqrt(float(np.sum((share * (each - mean)) ** 2)) * 8 / 7)
+    found = one.risk.hazards[0].harm
+    assert found.value == pytest.approx(mean, rel=1e-3)
+    factor = math.exp(stats.t.ppf(0.975, 7) * error / mean)
+    assert (found.low, found.high) == pytest.approx((mean / factor, mean * factor), rel=0.02)
+    alone = risk.std() / math.sqrt(risk.size) / mean
+    assert math.log(found.high / found.low) > 2 * 1.96 * alone
+
+
 def test_contact_is_where_views_show_it():
     gaps = np.array([[5.0, 3.0, 1.5, 1.0], [5.0, 4.0, 3.0, 2.5], [1.0, 1.0, 0.5, 0.1]])
     speed, hit = contact_speeds(gaps, dt_s=0.1)

@@ -17,12 +17,18 @@ const COLUMNS = [
 ];
 const short = (value) => (value == null ? "\u2013" : value === 0 ? "0" : value.toPrecision(2));
 
+const SIGNS = { yes: "\u2713", no: "\u2717", open: "?" };
+
 export function Runs({ at, state, tell }) {
   const [found, setFound] = useState(null);
   const [ticked, setTicked] = useState(new Set());
   const [gone, setGone] = useState([]);
+  const [budgets, setBudgets] = useState([]);
   const search = useRef(null);
-  const load = () => ask("runs").then(setFound, (error) => tell(error.message));
+  const load = () => {
+    ask("runs").then(setFound, (error) => tell(error.message));
+    ask("budgets").then(setBudgets, (error) => tell(error.message));
+  };
   useEffect(() => void load(), [state?.finished, state?.run, state?.running]);
   useEffect(() => {
     const typed = (event) => {
@@ -93,6 +99,9 @@ export function Runs({ at, state, tell }) {
       ${gone.length > 0 && html`<button onClick=${undo}>Undo: bring back ${gone.length}</button>`}
     </div>
     ${found.damaged.map((text) => html`<p class="wrong">${text}</p>`)}
+    ${budgets.map((one) => html`<details key=${one.name} class="budget"><summary>
+      <span class=${one.mark}>${SIGNS[one.mark]}</span> Risk budget ${one.name}: <span class=${one.mark}>${one.verdict}</span></summary>
+      <div class="pemviz document" dangerouslySetInnerHTML=${{ __html: one.page }}></div></details>`)}
     <div class="scroll"><table class="runs" aria-label="Runs">
       <thead><tr><th><input type="checkbox" aria-label="Tick all" checked=${rows.length > 0 && ticked.size === rows.length}
         onChange=${(event) => setTicked(new Set(event.target.checked ? rows.map((row) => row.name) : []))} /></th>
