@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from safetensors.numpy import save_file
 from scipy import stats
 from scipy.special import expit
 
@@ -16,10 +17,13 @@ from pemviz.pem import (
     OCCLUSION_NAMES,
     Memory,
     NoiseMemory,
+    PemError,
+    constant_errors,
     load_pem,
     load_position_errors,
     load_table,
     save_pem,
+    save_position_errors,
 )
 from pemviz.pem.exchange.autoware import SUBTYPES, TOPIC
 from pemviz.pem.exchange.averages import (
@@ -31,6 +35,8 @@ from pemviz.pem.exchange.averages import (
     table_obstacles,
 )
 from pemviz.pem.exchange.unsaid import _over_visibilities, unsaid_of_misses, unsaid_of_positions
+from pemviz.pem.model_files import read_tensors
+from pemviz.pem.models.binned_position_errors import BinnedPositionErrors
 from pemviz.pem.models.cards import PemCard
 from pemviz.pem.models.tabulated import TabulatedPem
 from tests.pem.helpers import rows_of
@@ -253,3 +259,77 @@ def test_a_table_by_nearest_point_is_stored_as_it_is(tmp_path):
     assert again.options() == pem.options()
     assert again.memory == Memory(tau_s=0.3)
     assert replace(pem, measure="ahead", sensor_ahead_m=0.0).digest != pem.digest
+
+
+def test_fine_bins_of_cars_in_plain_view_give_the_models_own_answer(tmp_path, capsys):
+    """The braking scenario, misses independent: both within their standard errors, and the bins."""
+    edges = ",".join(map(str, [*range(1, 17), 18, 20, 25, 30, 40, 60]))
+    noise, back = tmp_path / "noise.yaml", str(tmp_path / "back.safetensors")
+    words = ["--format", "autoware", "--edges-m", edges, "--out", str(noise)]
+    assert main(["pem", "export", "pointrcnn", *words]) == 0
+    assert main(["pem", "import", str(noise), "--out", back]) == 0
+    capsys.readouterr()
+    assert main(["pem", "compare", "pointrcnn", back, "--json"]) == 0
+    own, again = (one["probability"] for one in json.loads(capsys.readouterr().out)["models"])
+    assert own < 1e-12
+    assert again == pytest.approx(own, rel=0.05)
+
+
+def test_errors_by_bin_are_mean_and_deviation_times_noise(tmp_path):
+    errors = binned()
+    rows = fixed_obstacles((3.0, 30.0), sensor_ahead_m=1.0)
+    noise = np.random.default_rng(4).standard_normal((len(rows.salient), 2))
+    found = errors.error(rows.salient, noise)
+    for distance_m, z, error in zip(rows.distance_m, noise, found, strict=True):
+        mean, sd = ((0.1, -0.2), (0.5, 0.0)) if distance_m < 10.0 else ((0.3, 0.4), (1.5, 2.0))
+        assert error == pytest.approx(np.array(mean) + np.array(sd) * z)
+    np.testing.assert_allclose(errors.range_error(rows.salient, noise[:, 0]), found[:, 0])
+    np.testing.assert_array_equal(errors.sd(rows.salient), errors.scale(rows.salient))
+    save_position_errors(errors, tmp_path / "errors.safetensors")
+    again = load_position_errors(str(tmp_path / "errors.safetensors"))
+    assert again.digest == errors.digest
+    np.testing.assert_array_equal(again.error(rows.salient, noise), found)
+
+
+def binned(**changes):
+    model = constant_errors()
+    given = {
+        "from_m": np.array([0.0, 10.0]),
+        "bin_mean": np.array([[0.1, -0.2], [0.3, 0.4]]),
+        "bin_deviation": np.array([[0.5, 0.0], [1.5, 2.0]]),
+        "sensor_ahead_m": np.array([1.0]),
+    }
+    return BinnedPositionErrors.of(model, *(given | changes).values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"from_m": np.array([1.0, 10.0])}, "begin at 0 m"),
+        ({"from_m": np.array([0.0, 0.0])}, "farther and farther away"),
+        ({"from_m": np.array([0.0, np.nan])}, "farther and farther away"),
+        ({"bin_mean": np.zeros((2, 3))}, r"must have shape \[2, 2\]"),
+        ({"bin_mean": np.full((2, 2), np.inf)}, "must be finite"),
+        ({"bin_deviation": np.full((2, 2), -1.0)}, "must be 0 or more"),
+        ({"sensor_ahead_m": np.array([99.0])}, "sensor_ahead_m is 99"),
+    ],
+)
+def test_errors_by_bin_that_cannot_be_are_refused(changes, words):
+    with pytest.raises(PemError, match=words):
+        binned(**changes)
+
+
+def test_a_damaged_file_of_errors_by_bin_is_refused(tmp_path):
+    path = tmp_path / "errors.safetensors"
+    save_position_errors(binned(), path)
+    tensors, metadata = read_tensors(path)
+    for change in (
+        {"bins.from_m": np.zeros(3)},
+        {"bins.from_m": np.zeros((2, 2))},
+        {"bins.from_m": np.array(0.0)},
+        {"bins.mean": np.zeros(2)},
+        {"bins.sensor_ahead_m": np.zeros(2)},
+    ):
+        save_file(tensors | change, path, metadata=metadata)
+        with pytest.raises(PemError, match=r"need |bins"):
+            load_position_errors(str(path))
