@@ -75,7 +75,7 @@ def test_a_result_that_cannot_be_written_is_told_before_and_after(damaged, capsy
     words = f"pem fit --table {table} --model guess-mu --folds 0 --out {'y' * 240}.safetensors"
     assert main(words.split()) == 2
     assert "cannot be written" in capsys.readouterr().err
-    monkeypatch.setattr("pemviz.cli.pem.evaluate.load_table", lambda path: _table())
+    monkeypatch.setattr("pemviz.cli.pem.evaluate.load_table", lambda path, features: _table())
     assert main(f"pem evaluate --table z --models guess-mu --out {LONG}".split()) == 2
     assert "cannot be written" in capsys.readouterr().err
 
