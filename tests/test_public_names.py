@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import pemviz
 
@@ -31,6 +32,11 @@ def test_checkers_see_what_is_imported_at_run_time():
     homes = {name: home for home, names in pemviz._HOMES.items() for name in names.split()}
     assert seen == homes
     assert sorted([*seen, "__version__"]) == sorted(pemviz.__all__)
+
+
+def test_what_is_cited_is_this_version():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == pemviz.__version__
 
 
 def test_unknown_names_are_attribute_errors():
