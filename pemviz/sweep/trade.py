@@ -6,9 +6,9 @@ settings have in common, such as the error model, is not in these intervals.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from pemviz.errors import ConfigError
 from pemviz.reports.document import Block, Caution, Paragraph, Section, Table
@@ -87,14 +87,18 @@ def trade_of(states: Sequence[RunState], rules: tuple[str, str]) -> Trade:
         rule = dict(state.planned.setting)[RULE]
         found.setdefault(setting, {})[rule] = state.estimate
     points = [
-        TradePoint(_name(setting), of_rules.get(rules[0]), of_rules.get(rules[1]))
-        for setting, of_rules in found.items()
+        TradePoint(name, of_rules.get(rules[0]), of_rules.get(rules[1]))
+        for name, of_rules in zip(_names(list(found)), found.values(), strict=True)
     ]
     return Trade(rules, tuple(_placed(point, points) for point in points))
 
 
-def _name(setting: Setting) -> str:
-    return value_text(setting[0][1]) if len(setting) == 1 else setting_label(setting) or "all"
+def _names(settings: Sequence[Setting]) -> Iterator[str]:
+    """Each in a few words: what all have in common is left out."""
+    common = set(settings[0]).intersection(*settings) if len(settings) > 1 else set[Any]()
+    for setting in settings:
+        own = tuple(one for one in setting if one not in common)
+        yield value_text(own[0][1]) if len(own) == 1 else setting_label(own) or "all"
 
 
 def is_known(estimate: Estimate | None) -> bool:

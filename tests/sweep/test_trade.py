@@ -114,7 +114,8 @@ def test_a_sweep_of_trackers_tells_what_is_not_dominated(tmp_path, capsys):
         "[rules]\ncontact = 'always[0,99] (gap >= 0.0)'\nslow = 'always[0,99] (ego_speed >= 0.5)'\n"
     )
     out = tmp_path / "out"
-    words = ["--vary", "tracker=hits=1:2,window=2,coast=0:1", "--trade", "contact,slow"]
+    words = ["--vary", "tracker=hits=1:2,window=2,coast=0:1", "--vary", "scenario.initial-gap-m=4"]
+    words += ["--trade", "contact,slow"]
     assert main(["sweep", str(config), *words, "--out", str(out)]) == 0
     summary = (out / "summary.md").read_text()
     assert "8 runs: 8 done" in summary
