@@ -104,11 +104,7 @@ def _needs_gap_alone(simulator: Simulator, proposal: Proposal, rollouts: Rollout
 def initial_states(simulator: Simulator, *, gap_m: FloatArray) -> StateBatch:
     """The initial state, but at gaps ``[G]``."""
     states = begun(simulator, count=gap_m.size)
-    return replace(
-        states,
-        step=np.zeros(gap_m.size, dtype=np.int64),
-        signals={**states.signals, GAP: gap_m},
-    )
+    return replace(states, signals={**states.signals, GAP: gap_m})
 
 
 def mean_near_gaps(

@@ -232,6 +232,12 @@ class ImpactSpeeds:
         """The share of violations in which something is hit."""
         return math.fsum(s for s, hit in zip(self.share, self.hits, strict=True) if hit)
 
+    @property
+    def independent(self) -> float:
+        """How many independent violations these are worth: runs of particles, else 1 / sum w^2."""
+        squares = math.fsum(self.squares)
+        return float(len(self.runs)) if self.runs else 1.0 / squares if squares else math.inf
+
     def quantile(self, share: float) -> float:
         """Of the speeds of those that hit [m/s]; 0 if none does."""
         total, wanted = 0.0, share * self.hit_share

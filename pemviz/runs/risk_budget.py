@@ -59,6 +59,8 @@ IMPACT_SPEED, COLLIDED, GAP = "impact_speed_mps", "collided", "gap_m"
 LOG_WEIGHT = f"{COLUMN}log_weight"
 ENDS = np.array([LOW, HIGH])
 CONFIDENCE = 0.95
+LEAST_IMPACTS, FEW_IMPACTS = 1.5, 10.0
+"""Independent violations, by weight: below these nothing, or little, tells how impacts vary."""
 
 
 @dataclass(frozen=True)
@@ -315,6 +317,13 @@ def _harm(hazard: Hazard, runs: Sequence[EvidenceRun], *, where: str) -> AnyFact
         speeds = run_impact_speeds(run, hazard.rule, where=f"{where}.harm.impact_speed")
         if speeds is None:
             return f"run {run.name}: no rollout was kept that violates, so no impact speed is known"
+        if speeds.hit_share == 0.0:
+            return f"run {run.name}: none of its violations hits anything, which bounds no P(harm)"
+        if speeds.independent < LEAST_IMPACTS:
+            return (
+                f"run {run.name}: its impact speeds are those of one violation by weight, or of "
+                "one run of particles: how they vary, and so P(harm), is not known"
+            )
         found.append(CurveHarm(curve, speeds, harm.source))
     return max(found, key=lambda one: one.value)
 
@@ -415,7 +424,12 @@ def _cautions(hazards: Sequence[JudgedHazard]) -> Iterator[str]:
                         f"outside of the budget's {low:.3g} to {high:.3g}"
                     )
         if isinstance(harm := (one.factors and one.factors.harm), CurveHarm):
-            share = harm.speeds.hit_share
+            share, worth = harm.speeds.hit_share, harm.speeds.independent
+            if worth < FEW_IMPACTS:
+                yield (
+                    f"{name}: P(harm) is that of few violations, worth {worth:.1f} independent "
+                    "ones: its interval may be too narrow"
+                )
             if share < 0.995:
                 yield (
                     f"{name}: {1.0 - share:.0%} of the violations hit nothing, and count as "

@@ -188,6 +188,21 @@ def test_round_trip(name, tmp_path):
     round_trip(name, tmp_path)
 
 
+def test_what_the_topic_changes_beside_the_noise_is_said_when_it_is_read(tmp_path, capsys):
+    """With a range of 30 m all beyond is missed, whatever rate stands there."""
+    exported("rrc", tmp_path / "one.yaml")
+    text = (tmp_path / "one.yaml").read_text(encoding="utf-8")
+    changed = text.replace("range: 300.0", "range: 30.0").replace("delay: 0.0", "delay: 2.0")
+    for content, said in ((text, False), (changed, True)):
+        (tmp_path / "two.yaml").write_text(content, encoding="utf-8")
+        capsys.readouterr()
+        back = str(tmp_path / "back.safetensors")
+        assert main(["pem", "import", str(tmp_path / "two.yaml"), "--out", back]) == 0
+        out = capsys.readouterr().out
+        assert ("not taken: range 30.0 of the topic" in out) is said
+        assert ("not taken: delay 2.0 of the topic" in out) is said
+
+
 def round_trip(model, folder, *options):
     """Written, read, written again: the same file, byte for byte."""
     first, back, again = (folder / name for name in ("one.yaml", "back.safetensors", "two.yaml"))

@@ -12,6 +12,7 @@ from scipy.special import expit
 
 import pemviz
 from pemviz import figures
+from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.recording import paths
 from pemviz.recording.learning import stage_figures
@@ -146,3 +147,13 @@ def test_a_share_has_the_exact_binomial_interval():
     row = stage_figures(stage, method="monte-carlo")
     exact = stats.binomtest(row.failures, row.rollouts).proportion_ci(0.95, method="exact")
     assert row.log10_ci_high == pytest.approx(math.log10(exact.high))
+
+
+def test_zero_variance_with_frailty_is_recorded(tmp_path):
+    """Its proposal takes states of one step; with a step for each gap the run failed."""
+    words = "--method zero-variance --memory-s 0.25 --frailty 0.7 --scenario.states 40"
+    spec = ("--spec", "always[0,39] (gap >= 9.0)", "--no-plan", "--no-measured-memory")
+    out = ("--final-rollouts", "20", "--out", str(tmp_path))
+    assert main(["record", *words.split(), *spec, *out]) == 0
+    (recording,) = tmp_path.glob("*/run.rrd")
+    assert recording.stat().st_size > 0

@@ -8,8 +8,10 @@ import pytest
 from scipy import stats
 from scipy.special import expit
 
+from pemviz.analysis.risk_factors import impact_speeds
 from pemviz.errors import InputError
 from pemviz.files.array_files import read_arrays
+from pemviz.runs import risk_budget
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.risk_budget import contact_speeds, judge_budget
@@ -159,15 +161,34 @@ def test_contact_is_where_views_show_it():
     assert speed.tolist() == pytest.approx([15.0, 0.0, 0.0])
 
 
-def test_a_violation_that_hits_nothing_does_no_harm_and_is_said(folder):
+def test_violations_of_which_none_hits_anything_bound_no_harm(folder):
+    """None in a few has an upper end, and at which speed it would be nobody knows."""
     one = hazard(runs=("cut-in",), rule="safe-distance", extra=SAMPLING, harm=CURVE)
-    found = judged(folder, one)
+    found = judged(folder, one, accepted=1e3)
     arrays = read_arrays(folder / "cut-in" / "rollouts.npz")
     broken = arrays["broken.safe-distance"]
-    speed = arrays["impact_speed_mps"][broken].max(axis=1)
-    risk = np.where(speed > 0.0, expit(-4.0 + 0.36 * speed), 0.0)
-    assert found.risk.hazards[0].harm.value == pytest.approx(risk.mean(), rel=1e-3, abs=1e-12)
-    assert any("hit nothing" in text for text in found.cautions)
+    assert np.any(broken)
+    assert not np.any(arrays["impact_speed_mps"][broken] > 0.0)
+    assert found.outcome == "not known"
+    assert "none of its violations hits anything" in found.hazards[0].unknown
+
+
+def test_the_impact_speed_of_a_single_violation_is_not_taken_as_exact(folder):
+    """Of a seed that has one: its spread would be 0, and P(harm) known for certain."""
+    path = folder / "counted" / "rollouts.npz"
+    violated = read_arrays(path)["violated"]
+    assert np.count_nonzero(violated) == 16
+    for count, outcome in ((1, "not known"), (5, "met"), (16, "met")):
+        speed = np.linspace(5.0, 9.0, count)
+        hits = np.ones(count, dtype=np.bool_)
+        speeds = impact_speeds(speed, hit=hits, weight=np.ones(count))
+        assert speeds.independent == pytest.approx(count)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(risk_budget, "run_impact_speeds", lambda *_, **__: speeds)  # noqa: B023
+            one = hazard(runs=("counted",), extra=SAMPLING, harm=CURVE)
+            found = judged(folder, one, accepted=1e3)
+        assert found.outcome == outcome
+        assert any("of few violations" in text for text in found.cautions) == (count == 5)
 
 
 def test_a_run_made_for_another_rate_of_encounters_is_named(folder, tmp_path):

@@ -79,7 +79,7 @@ def _not_taken(file: NoiseFile, chosen: Configuration) -> Iterator[str]:
     if others:
         yield f"left in the file: configurations {', '.join(others)} (--config)"
     yield f"for entities of subtype {', '.join(chosen.subtypes)}; the model answers for any"
-    for one in chosen.other:
+    for one in (*chosen.other, *file.other):
         yield f"not taken: {one}"
     last_m = float(chosen.radii_m[-1])
     if last_m < FARTHEST_M:

@@ -40,6 +40,8 @@ TOPIC = "/perception/object_recognition/detection/objects"
 INTERFACE_VERSION = 20240605
 """Suffix of the architecture_type that the guide's own sample file is for."""
 DETECTION_RANGE_M = 300.0
+OF_TOPIC: Mapping[str, Any] = {"delay": 0.0, "range": DETECTION_RANGE_M, "occlusionless": False}
+"""As written. Of the whole topic: how late, how far, and whether hidden ones are reported too."""
 SMALLEST_P = 1e-12
 """No rate is nearer to 0 or 1: it would be one of these to the twelve decimals that are written."""
 DECIMALS, DIGITS = 12, 6
@@ -99,10 +101,11 @@ class Configuration:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFile:
-    """What a file says: its configurations, and where its values come from."""
+    """What a file says: its configurations, where its values come from, what else it changes."""
 
     configurations: tuple[Configuration, ...]
     notes: Mapping[str, str] = field(default_factory=dict[str, str])
+    other: tuple[str, ...] = ()
 
     def named(self, name: str | None) -> Configuration:
         """A configuration by its name; the only one where none is given.
@@ -149,9 +152,7 @@ def noise_yaml(file: NoiseFile) -> str:
         "version": INTERFACE_VERSION,
         "seed": 0,
         "override_legacy_configuration": True,
-        "delay": 0.0,
-        "range": DETECTION_RANGE_M,
-        "occlusionless": False,
+        **OF_TOPIC,
         "noise": {
             "model": {"version": NOISE_VERSION},
             "v4": {one.name: _parameters(one) for one in file.configurations},
@@ -325,8 +326,8 @@ def _noise(document: Any, *, notes: Mapping[str, str], rate_hz: float | None) ->
     whole = _Part(document if isinstance(document, dict) else {}, "")
     if "/**" not in whole.values:
         raise PemError("no file of ROS 2 parameters: '/**' is missing")
-    noise = whole.part("/**").part("ros__parameters").part(TOPIC).part("noise")
-    noise = _Part(noise.values, "noise")
+    topic = whole.part("/**").part("ros__parameters").part(TOPIC)
+    noise = _Part(topic.part("noise").values, "noise")
     version = noise.part("model").value("version")
     if version != NOISE_VERSION:
         raise PemError(f"noise.model.version is {version!r}, this reads version {NOISE_VERSION}")
@@ -334,7 +335,13 @@ def _noise(document: Any, *, notes: Mapping[str, str], rate_hz: float | None) ->
     if not named.values:
         raise PemError("noise.v4 has no configuration")
     return NoiseFile(
-        tuple(_configuration(named, name, rate_hz=rate_hz) for name in named.values), notes
+        tuple(_configuration(named, name, rate_hz=rate_hz) for name in named.values),
+        notes,
+        tuple(
+            f"{name} {topic.values[name]!r} of the topic"
+            for name, written in OF_TOPIC.items()
+            if topic.values.get(name, written) != written
+        ),
     )
 
 
