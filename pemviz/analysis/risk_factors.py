@@ -280,11 +280,18 @@ class CurveHarm:
     The coefficients are drawn, once for all hazards with the same curve, and so is the error of the
     average over a finite number of violating rollouts (delta method, on a logarithmic scale; of
     particles by what differs between runs, with Student's t).
+
+    Attributes:
+        curve: With the errors of its coefficients.
+        speeds: Impact speeds that the upper end comes from, and the value.
+        source: Where the curve is from.
+        lower: Those that the lower end comes from, where they are of another run.
     """
 
     curve: InjuryCurve
     speeds: ImpactSpeeds
     source: str
+    lower: ImpactSpeeds | None = None
     kind: FactorKind = "harm"
     count: Count | None = field(default=None, init=False)
 
@@ -306,13 +313,14 @@ class CurveHarm:
 
     def ends(self, draws: Draws) -> tuple[float, float]:
         """Of its 95 % interval."""
-        low, high = np.quantile(self.drawn(draws, "upper"), (LOW, HIGH))
-        return float(low), float(high)
+        lower, upper = self.drawn(draws, "lower"), self.drawn(draws, "upper")
+        return float(np.quantile(lower, LOW)), float(np.quantile(upper, HIGH))
 
     def drawn(self, draws: Draws, side: Side) -> FloatArray:
-        """Values ``[N]``, the same to either side."""
-        del side
-        return draws.once(self, lambda: self._drawn(draws))
+        """Values ``[N]``."""
+        if side == "lower" and self.lower is not None:
+            return CurveHarm(self.curve, self.lower, self.source).drawn(draws, side)
+        return draws.once((self.curve, self.speeds, "harm"), lambda: self._drawn(draws))
 
     def _drawn(self, draws: Draws) -> FloatArray:
         mean, error = self._mean(*self.curve.coefficients(draws))

@@ -71,7 +71,7 @@ def verdict_sentence(judged: JudgedBudget) -> str:
 
 
 def _ratio(value: float) -> str:
-    return f"{value:.2g}" if value >= 9.95 else f"{value:.1f}"
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 9.95 else f"{value:.1f}"
 
 
 def budget_chart(judged: JudgedBudget) -> IntervalChart | None:
@@ -265,10 +265,15 @@ def _steps(effect: FactorEffect, judged: JudgedBudget, *, accepted: float) -> It
     enough = effect.high_if_known <= accepted
     of = f"{name} of {' and '.join(effect.hazards)}"
     if isinstance(factor, CurveHarm):
+        curve = factor.curve
+        by = (
+            "take one with smaller standard errors, and with their correlation if that was left out"
+            if curve.intercept_std_error or curve.slope_std_error
+            else "more rollouts tell better how fast violations hit"
+        )
         yield (
-            f"{of} decides: with the curve known exactly, harm is at most "
-            f"{end_text(effect.high_if_known)} an hour; take one with smaller standard errors, and "
-            "with their correlation if that was left out"
+            f"{of} decides: known exactly, it leaves harm at most "
+            f"{end_text(effect.high_if_known)} an hour; {by}"
         )
         return
     if enough:
@@ -324,10 +329,10 @@ def _run_means(hazard: JudgedHazard, *, wanted: float, high: float, middle: floa
             needed = math.ceil(
                 rollouts * (math.log(high / middle) / math.log(wanted / middle)) ** 2
             )
-            precision = max(wanted / middle - 1.0, 0.005)
+            percent = _ratio(100.0 * max(wanted / middle - 1.0, 0.005))
             yield (
                 f"run {run.name}: about {needed:,} rollouts in place of {rollouts:,}: pemviz "
-                f"record --config {run.folder / 'config.toml'} --precision {100.0 * precision:.2g}%"
+                f"record --config {run.folder / 'config.toml'} --precision {percent}%"
             )
             continue
         yield f"run {run.name}: {source.name} decides; narrowed by {source.narrowed_by}"

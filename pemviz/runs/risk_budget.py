@@ -312,9 +312,16 @@ def _harm(hazard: Hazard, runs: Sequence[EvidenceRun], *, where: str) -> AnyFact
     if harm.impact_speed is not None:
         speeds = ImpactSpeeds((harm.impact_speed / of_closing,), (1.0,), (0.0,), (True,))
         return CurveHarm(curve, speeds, harm.source)
+    return _harm_at_impacts(curve, hazard, runs, where=f"{where}.harm.impact_speed")
+
+
+def _harm_at_impacts(
+    curve: InjuryCurve, hazard: Hazard, runs: Sequence[EvidenceRun], *, where: str
+) -> CurveHarm | str:
+    """By the runs' impact speeds: of several the highest upper end and the lowest lower one."""
     found = list[CurveHarm]()
     for run in runs:
-        speeds = run_impact_speeds(run, hazard.rule, where=f"{where}.harm.impact_speed")
+        speeds = run_impact_speeds(run, hazard.rule, where=where)
         if speeds is None:
             return f"run {run.name}: no rollout was kept that violates, so no impact speed is known"
         if speeds.hit_share == 0.0:
@@ -324,8 +331,13 @@ def _harm(hazard: Hazard, runs: Sequence[EvidenceRun], *, where: str) -> AnyFact
                 f"run {run.name}: its impact speeds are those of one violation by weight, or of "
                 "one run of particles: how they vary, and so P(harm), is not known"
             )
-        found.append(CurveHarm(curve, speeds, harm.source))
-    return max(found, key=lambda one: one.value)
+        found.append(CurveHarm(curve, speeds, curve.source))
+    if len(found) == 1:
+        return found[0]
+    ends = [one.ends(draws) for draws in (Draws(),) for one in found]
+    highest = max(range(len(found)), key=lambda place: ends[place][1])
+    lowest = min(range(len(found)), key=lambda place: ends[place][0])
+    return replace(found[highest], lower=found[lowest].speeds)
 
 
 def run_impact_speeds(run: EvidenceRun, rule: str | None, *, where: str) -> ImpactSpeeds | None:
@@ -406,6 +418,14 @@ def _weights(
     return every, np.exp(log_weight - top) if every.size else log_weight, None
 
 
+def _curve_cautions(name: str, curve: InjuryCurve) -> Iterator[str]:
+    """What is unlikely to be meant by an injury-risk curve."""
+    if curve.slope < 0.0:
+        yield f"{name}: the injury curve's slope is below 0: faster impacts would harm less"
+    if curve.intercept_std_error == 0.0 and curve.slope_std_error == 0.0:
+        yield f"{name}: the injury curve is taken as known exactly: it states no standard errors"
+
+
 def _cautions(hazards: Sequence[JudgedHazard]) -> Iterator[str]:
     """What the sum takes for granted though the runs say otherwise."""
     folders: dict[Path, list[str]] = {}
@@ -424,6 +444,7 @@ def _cautions(hazards: Sequence[JudgedHazard]) -> Iterator[str]:
                         f"outside of the budget's {low:.3g} to {high:.3g}"
                     )
         if isinstance(harm := (one.factors and one.factors.harm), CurveHarm):
+            yield from _curve_cautions(name, harm.curve)
             share, worth = harm.speeds.hit_share, harm.speeds.independent
             if worth < FEW_IMPACTS:
                 yield (

@@ -195,8 +195,11 @@ def test_position_errors_beside_a_model_go_with_it(tmp_path, capsys):
     assert "PointRCNN" in errors.card.data
     words = ["--format", "autoware", "--out", str(tmp_path / "none.yaml")]
     assert main(["pem", "export", str(out), "--position-errors", "none", *words]) == 0
-    assert main(["pem", "import", str(tmp_path / "none.yaml"), "--out", str(out)]) == 0
-    assert not beside.exists()  # those of the earlier import are not this model's
+    kept = out.read_bytes(), beside.read_bytes()
+    capsys.readouterr()
+    assert main(["pem", "import", str(tmp_path / "none.yaml"), "--out", str(out)]) == 2
+    assert f"{beside} lies beside it" in capsys.readouterr().err  # and is not this model's
+    assert (out.read_bytes(), beside.read_bytes()) == kept
 
 
 def test_an_imported_model_runs_with_its_memory(tmp_path, monkeypatch, capsys):

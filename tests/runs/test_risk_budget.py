@@ -129,6 +129,41 @@ def test_an_injury_curve_is_averaged_over_the_violating_rollouts(folder):
     assert one.risk.hazards[0].harm.value == pytest.approx(np.average(risk, weights=weight), 1e-3)
 
 
+def test_of_several_runs_p_harm_has_the_lowest_and_the_highest_end(folder):
+    named = {"harm": CURVE, "encounters": ONCE, "extra": SAMPLING}
+    ends = {}
+    for runs in (("counted",), ("weighed",), ("counted", "weighed")):
+        (one,) = judged(folder, hazard(runs=runs, **named)).risk.hazards
+        ends[runs] = one.harm.low, one.harm.high
+    both = ends.pop(("counted", "weighed"))
+    lows, highs = zip(*ends.values(), strict=True)
+    assert both == pytest.approx((min(lows), max(highs)), rel=2e-3)
+    assert lows[0] != pytest.approx(lows[1], rel=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("curve", "words"),
+    [
+        (CURVE, "taken as known exactly"),
+        (
+            f"{CURVE}\nslope_std_error = 0.01".replace("0.1\n", "-0.1\n"),
+            "faster impacts would harm",
+        ),
+    ],
+)
+def test_curves_that_are_hardly_meant_so_are_named(folder, curve, words):
+    found = judged(folder, hazard(runs=("counted",), harm=curve, extra=SAMPLING))
+    assert sum(words in caution for caution in found.cautions) == 1
+
+
+def test_violations_that_hit_nothing_are_told_where_others_hit(folder, monkeypatch):
+    speed, hit = np.array([5.0, 6.0, 7.0, 0.0] * 20), np.array([True, True, True, False] * 20)
+    speeds = impact_speeds(speed, hit=hit, weight=np.ones(80))
+    monkeypatch.setattr(risk_budget, "run_impact_speeds", lambda *_, **__: speeds)
+    found = judged(folder, hazard(runs=("counted",), harm=CURVE, extra=SAMPLING))
+    assert any("25% of the violations hit nothing" in caution for caution in found.cautions)
+
+
 def test_of_splitting_it_is_the_runs_that_tell_how_sure_p_harm_is(tmp_path):
     """By the particles' number it would look several times surer than it is."""
     config = replace(WEIGHED, method="splitting", stages=8, rollouts=300)

@@ -9,6 +9,8 @@ import tyro
 
 from pemviz.cli.pem.checks import check_out, check_rate_hz
 from pemviz.cli.pem.export import ERRORS_BESIDE
+from pemviz.errors import PemError
+from pemviz.files.atomic import is_file
 from pemviz.files.text_files import writing
 from pemviz.pem.exchange.autoware import Configuration, NoiseFile, read_noise
 from pemviz.pem.exchange.averages import FARTHEST_M
@@ -53,11 +55,15 @@ def run(arguments: ImportArguments) -> int:
     misses = miss_model(chosen, file.notes, name=name, sensor_ahead_m=ahead_m)
     errors = position_model(chosen, file.notes, name=name, sensor_ahead_m=ahead_m)
     beside = arguments.out.with_name(f"{arguments.out.stem}{ERRORS_BESIDE}{SUFFIX}")
+    if errors is None and is_file(beside):
+        message = (
+            f"out = {arguments.out}: {beside} lies beside it and would pass for its position "
+            "errors, of which the file has none: choose another place, or remove that"
+        )
+        raise PemError(message)
     with writing(arguments.out):
         save_pem(misses, arguments.out)
-        if errors is None:
-            beside.unlink(missing_ok=True)  # of an earlier import
-        else:
+        if errors is not None:
             save_position_errors(errors, beside)
     low, high = 1.0 - chosen.rate.max(), 1.0 - chosen.rate.min()
     print(
