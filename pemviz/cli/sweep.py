@@ -185,13 +185,14 @@ def write_reports(
     from pemviz.sweep.overview import write_overview  # noqa: PLC0415  rerun is slow to import
 
     table = tables.rows(plan, states)
-    summary = tables.summary_markdown(plan, states)
+    summary, picture = tables.summary_markdown(plan, states), ""
     try:
         if is_trade:
-            summary += f"\n{_write_trade(out, plan, states)}"
+            trade, picture = _write_trade(out, plan, states)
+            summary += f"\n{trade}"
         write_text(out / "sweep.csv", tables.csv_text(plan, table))
         write_bytes(out / "sweep.parquet", tables.parquet_bytes(plan, table))
-        write_text(out / "summary.md", summary)
+        write_text(out / "summary.md", f"{summary}{picture}")  # which a recording cannot show
         write_overview(out / "sweep.rrd", plan, states, base=base, summary=summary)
     except OSError as error:
         message = f"out = {out}: cannot be written ({error.strerror or error})"
@@ -199,17 +200,20 @@ def write_reports(
     return summary
 
 
-def _write_trade(out: Path, plan: Plan, states: Sequence[RunState]) -> str:
-    """Write the picture of the trade between the two rules that are varied last; gives its page."""
+def _write_trade(out: Path, plan: Plan, states: Sequence[RunState]) -> tuple[str, str]:
+    """Write the picture of the trade between the two rules that are varied last.
+
+    Gives its page, and the line that shows the picture.
+    """
     from pemviz.sweep.trade_picture import trade_png  # noqa: PLC0415  matplotlib is slow to import
 
     first, second = map(str, plan.variations[-1].values)
     trade = trade_of(states, (first, second))
-    page = sections_markdown([trade_section(trade)], level=2)
-    if (picture := trade_png(trade)) is not None:
-        write_bytes(out / TRADE_PICTURE, picture)
-        page.append(f"![Both rules over all settings]({TRADE_PICTURE})")
-    return "\n\n".join(page) + "\n"
+    page = "\n\n".join(sections_markdown([trade_section(trade)], level=2)) + "\n"
+    if (picture := trade_png(trade)) is None:
+        return page, ""
+    write_bytes(out / TRADE_PICTURE, picture)
+    return page, f"\n![Both rules over all settings]({TRADE_PICTURE})\n"
 
 
 def _base(arguments: SweepArguments) -> ExperimentConfig:

@@ -33,7 +33,7 @@ from pemviz.analysis.risk_factors import (
     impact_speeds,
     stated,
 )
-from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.config.risk_budget import (
     ANY_RULE,
     PER_MPS,
@@ -51,7 +51,7 @@ from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import BROKEN, COLUMN, ROLLOUTS_FILE, log_weights
 from pemviz.sampling.registry import by_name
-from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M
+from pemviz.simulators.braking.contact import first_contact
 from pemviz.types import Estimate
 
 Outcome = Literal["met", "not met", "not known"]
@@ -365,24 +365,13 @@ def run_impact_speeds(run: EvidenceRun, rule: str | None, *, where: str) -> Impa
             speed = np.array([np.max(arrays[IMPACT_SPEED][row]) for row in rows.tolist()])
             hit = speed > 0.0
         else:
-            gaps = np.stack([arrays[GAP][row] for row in rows.tolist()])
-            speed, hit = contact_speeds(gaps, dt_s=config.dt_s)
+            found = [first_contact(arrays[GAP][row], dt_s=config.dt_s) for row in rows.tolist()]
+            speed = np.array([0.0 if one is None else one.impact_speed_mps for one in found])
+            hit = np.array([one is not None for one in found])
         return impact_speeds(speed, hit=hit, weight=weight, run=of_run)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         message = f"rollouts {path}: do not fit together ({error})"
         raise InputError(message) from error
-
-
-def contact_speeds(gap_m: FloatArray, *, dt_s: float) -> tuple[FloatArray, BoolArray]:
-    """How fast gaps ``[V, T]`` [m] close where the cars touch ``[V]`` [m/s], and whether they do.
-
-    As :func:`pemviz.simulators.braking.contact.first_contact` has it.
-    """
-    touching = gap_m <= CAMERA_TO_BUMPER_M
-    hit, step = np.any(touching, axis=1, keepdims=True)[:, 0], np.argmax(touching, axis=1)
-    rows = np.arange(len(gap_m))
-    closed = np.where(step > 0, gap_m[rows, step - 1] - gap_m[rows, step], 0.0)
-    return np.where(hit, np.maximum(closed / dt_s, 0.0), 0.0), hit
 
 
 def _weights(

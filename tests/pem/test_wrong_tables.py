@@ -260,6 +260,7 @@ def test_numbers_of_every_type_and_which_cells_are_none():
         (stamps, np.float64(nanoseconds) / 1e9, []),
         (words, [1.5, np.nan, np.nan, -300.0], [1, 2]),
         (words.dictionary_encode(), [1.5, np.nan, np.nan, -300.0], [1, 2]),
+        (pa.array(["1_5", "15"]), [np.nan, 15.0], [0]),
         (pa.array([True, False, None]), [1.0, 0.0, np.nan], [2]),
         (pa.array([2, None]), [2.0, np.nan], [1]),
     ):

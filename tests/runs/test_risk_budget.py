@@ -14,8 +14,7 @@ from pemviz.files.array_files import read_arrays
 from pemviz.runs import risk_budget
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
-from pemviz.runs.risk_budget import contact_speeds, judge_budget
-from pemviz.simulators.braking.contact import first_contact
+from pemviz.runs.risk_budget import judge_budget
 from tests.budgets import (
     COUNTED,
     CUT_IN,
@@ -118,14 +117,22 @@ def test_two_rules_of_one_run_are_not_taken_as_independent(folder):
     assert any("counts several times" in text for text in one.cautions)
 
 
+def closing_where_they_touch(gap_m):
+    """How fast gaps ``[V, T]`` close in the step to 2 m, of 0.05 s, and whether they come to it."""
+    touching = gap_m <= 2.0
+    first = np.argmax(touching, axis=1)[:, np.newaxis]
+    before = np.take_along_axis(gap_m, np.maximum(first - 1, 0), axis=1)
+    return (before - np.take_along_axis(gap_m, first, axis=1))[:, 0] / 0.05, touching.any(axis=1)
+
+
 def test_an_injury_curve_is_averaged_over_the_violating_rollouts(folder):
     """By their weights, at the speed at which the gap closes where the cars touch."""
     one = judged(folder, hazard(runs=("weighed",), extra=SAMPLING, harm=CURVE))
     arrays = read_arrays(folder / "weighed" / "rollouts.npz")
     rows = np.flatnonzero(arrays["violated"])
     weight = np.exp(arrays["method.log_weight"][rows])
-    touched = [first_contact(arrays["gap_m"][row], dt_s=0.05) for row in rows.tolist()]
-    risk = [0.0 if c is None else expit(-4.0 + 0.1 * 3.6 * c.impact_speed_mps) for c in touched]
+    speed, hit = closing_where_they_touch(arrays["gap_m"][rows])
+    risk = np.where(hit, expit(-4.0 + 0.1 * 3.6 * speed), 0.0)
     assert one.risk.hazards[0].harm.value == pytest.approx(np.average(risk, weights=weight), 1e-3)
 
 
@@ -171,7 +178,7 @@ def test_of_splitting_it_is_the_runs_that_tell_how_sure_p_harm_is(tmp_path):
     one = judged(tmp_path, hazard(runs=("run",), extra=SAMPLING, harm=CURVE))
     arrays = read_arrays(tmp_path / "run" / "rollouts.npz")
     rows = np.flatnonzero(arrays["violated"])
-    speed, _ = contact_speeds(arrays["gap_m"][rows], dt_s=0.05)
+    speed, _ = closing_where_they_touch(arrays["gap_m"][rows])
     risk, run = expit(-4.0 + 0.36 * speed), arrays["stage"][rows]
     stages = {stage.stage: stage for stage in read_result(tmp_path / "run").stages}
     numbers = np.unique(run).tolist()
@@ -186,14 +193,6 @@ def test_of_splitting_it_is_the_runs_that_tell_how_sure_p_harm_is(tmp_path):
     assert (found.low, found.high) == pytest.approx((mean / factor, mean * factor), rel=0.02)
     alone = risk.std() / math.sqrt(risk.size) / mean
     assert math.log(found.high / found.low) > 2 * 1.96 * alone
-
-
-def test_contact_is_where_views_show_it():
-    gaps = np.array([[5.0, 3.0, 1.5, 1.0], [5.0, 4.0, 3.0, 2.5], [1.0, 1.0, 0.5, 0.1]])
-    speed, hit = contact_speeds(gaps, dt_s=0.1)
-    expected = [first_contact(gap, dt_s=0.1) for gap in gaps]
-    assert hit.tolist() == [one is not None for one in expected] == [True, False, True]
-    assert speed.tolist() == pytest.approx([15.0, 0.0, 0.0])
 
 
 def test_violations_of_which_none_hits_anything_bound_no_harm(folder):

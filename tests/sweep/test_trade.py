@@ -6,11 +6,13 @@ from hypothesis import strategies as st
 
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig
+from pemviz.recording import paths
 from pemviz.reports.document import Caution
 from pemviz.sweep.carry_out import RunState
 from pemviz.sweep.plan import RULE, PlannedRun, make_plan, parse_variation
 from pemviz.sweep.trade import ON_FRONT, trade_of, trade_section
 from pemviz.sweep.trade_picture import trade_png
+from tests.recording.read_back import texts
 from tests.reports.runs import estimate, warned
 
 RULES = ("contact", "gap")
@@ -122,7 +124,10 @@ def test_a_sweep_of_trackers_tells_what_is_not_dominated(tmp_path, capsys):
     assert "Trade between contact and slow" in summary
     assert all(f"| {name} |" in summary for name in ("1/2,coast=0", "2/2,coast=1"))
     assert (out / "trade.png").read_bytes().startswith(b"\x89PNG")
-    assert summary in capsys.readouterr().out
+    words, picture = summary.rsplit("\n![", 1)
+    assert picture.endswith("(trade.png)\n")
+    assert words in capsys.readouterr().out
+    assert texts(out / "sweep.rrd")[paths.SWEEP_SUMMARY] == words  # without a picture to look for
 
 
 @pytest.mark.parametrize(

@@ -138,6 +138,8 @@ def _numbers_by_cell(cells: Sequence[Any]) -> tuple[FloatArray, BoolArray]:
             values[row] = float(cell)
         except (TypeError, ValueError):
             wrong[row] = True
+        if isinstance(cell, str) and "_" in cell:  # Python alone reads 1_5 as 15
+            values[row], wrong[row] = np.nan, True
     return values, wrong
 
 
