@@ -68,7 +68,8 @@ footer {{ margin-top: 46px; color: #52606d; font-size: 13px; border-top: 1px sol
 @media print {{
   body {{ font-size: 9.6pt; }} main {{ max-width: none; padding: 0; }} nav {{ display: none; }}
   h1 {{ font-size: 17pt; }} h2 {{ font-size: 13pt; margin-top: 20pt; }}
-  h2, h3, h4 {{ break-after: avoid; }} figure, tr, .head, .warn, li {{ break-inside: avoid; }}
+  h2:not(:has(+ .argument)), h3, h4 {{ break-after: avoid; }}
+  figure, tr, .head, .warn, li {{ break-inside: avoid; }}
   section.run {{ break-before: page; margin: 0; border: 0; padding: 0; }}
 }}
 """
