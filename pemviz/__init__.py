@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
     from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
+    from pemviz.runs.ranked_rollout import read_rollout
     from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import result_document
@@ -65,6 +66,7 @@ _HOMES = {
     "runs.engine": "run run_experiment",
     "runs.experiment": "Experiment build_experiment",
     "runs.observers": "KeptStages LeastRobust Rollout",
+    "runs.ranked_rollout": "read_rollout",
     "runs.reading": "read_result",
     "runs.result": "RunResult",
     "runs.result_file": "result_document",
@@ -98,8 +100,8 @@ __all__ = [
     "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator", "Slot",
     "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState", "UndecidedError",
     "__version__", "build_experiment", "named_detections_action", "quantised_start",
-    "raise_if_undecided", "read_result", "result_document", "run", "run_experiment",
-    "side_by_side", "summary_text", "tracked",
+    "raise_if_undecided", "read_result", "read_rollout", "result_document", "run",
+    "run_experiment", "side_by_side", "summary_text", "tracked",
 ]  # fmt: skip
 
 

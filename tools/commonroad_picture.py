@@ -23,7 +23,7 @@ from pemviz.cli.main import main as pemviz
 from pemviz.colors import EGO, LEAD
 from pemviz.export.commonroad import EGO_ID, LEAD_ID
 from pemviz.export.motion import braking_motion
-from pemviz.export.rollout import read_ranked_rollout
+from pemviz.runs.ranked_rollout import read_ranked_rollout
 
 SIZE_IN, DPI = (9.0, 3.6), 100
 SHOWN_M = (-2.0, 80.0, -2.6, 2.6)

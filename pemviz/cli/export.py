@@ -51,7 +51,7 @@ def run(words: Sequence[str]) -> int:
         check_place,
         write_rollout,
     )
-    from pemviz.export.rollout import read_ranked_rollout  # noqa: PLC0415  as above
+    from pemviz.runs.ranked_rollout import read_ranked_rollout  # noqa: PLC0415  as above
 
     chosen = FORMATS[arguments.format]
     chosen.check_installed(arguments.format)

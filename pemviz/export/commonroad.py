@@ -39,8 +39,8 @@ from pemviz.export.motion import (
     description,
     facts,
 )
-from pemviz.export.rollout import RankedRollout
 from pemviz.reports.escape import printable_line
+from pemviz.runs.ranked_rollout import RankedRollout
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
 
 LANELET_ID, EGO_ID, LEAD_ID, PROBLEM_ID = 1, 10, 11, 100

@@ -25,8 +25,8 @@ import numpy as np
 
 from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
-from pemviz.export.rollout import PER_OUTCOME, RankedRollout
 from pemviz.files.atomic import is_file, is_folder, write_bytes
+from pemviz.runs.ranked_rollout import PER_OUTCOME, RankedRollout
 
 Format = Literal["openscenario", "commonroad", "csv", "parquet"]
 INSTALL = "pip install 'pemviz[export]'"

@@ -14,7 +14,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import InputError
-from pemviz.export.rollout import RankedRollout
+from pemviz.runs.ranked_rollout import RankedRollout
 from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, Contact, first_contact
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, scenario_signals

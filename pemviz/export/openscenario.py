@@ -24,8 +24,8 @@ from pemviz.export.motion import (
     description,
     facts,
 )
-from pemviz.export.rollout import RankedRollout
 from pemviz.reports.escape import printable_line
+from pemviz.runs.ranked_rollout import RankedRollout
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M
 
 # the library's enumerations are not of the types that its own functions ask for

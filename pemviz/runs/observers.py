@@ -1,7 +1,7 @@
 """Observers for programs: the least robust rollout of a run, and every stage, kept whole."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Rollout(ShownInNotebooks):
         right_by_slot: ``[T-1]`` whether each of several slots does not err, by its name.
         start: ``[S]`` latents at its start, where the simulator takes some.
         noise: ``[T-1, M]`` latents of its steps, likewise.
+        rank: From 1, the least robust of those that carry the answer.
     """
 
     repetition: int
@@ -42,6 +43,7 @@ class Rollout(ShownInNotebooks):
     right_by_slot: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
     start: FloatArray = field(default_factory=lambda: np.zeros(0))
     noise: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    rank: int = 1
 
     @property
     def missed_steps(self) -> IntArray:
@@ -55,8 +57,9 @@ class Rollout(ShownInNotebooks):
             latents = f"latents at the start {', '.join(f'{z:.2f}' for z in self.start)}; "
         if self.noise.size:
             latents += f"noise {np.min(self.noise):.2f} to {np.max(self.noise):.2f}; "
+        name = "least robust rollout" if self.rank == 1 else f"rollout of rank {self.rank}"
         return (
-            f"least robust rollout: {verdict}, robustness {self.robustness:.3g}, stage "
+            f"{name}: {verdict}, robustness {self.robustness:.3g}, stage "
             f"{self.stage}; {self._errors_text()}; {latents}{', '.join(ranges)}; "
             f"NLL {self.nll:.3g} nats"
         )
@@ -101,11 +104,8 @@ class LeastRobust:
 
     def _kept(self, first: RankedRollout, stage: StageResult) -> Rollout:
         rollouts, index = stage.scored.rollouts, place_of(first.rollout, stage.sampled)
-        detected, latents = rollouts.detected[index], dict[str, FloatArray]()
-        if rollouts.latents is not None:
-            for name in ("start", "noise"):
-                latents[name] = np.array(getattr(rollouts.latents, name)[index])
-        return Rollout(
+        detected, latents = rollouts.detected[index], rollouts.latents
+        rollout = Rollout(
             repetition=stage.repetition,
             stage=stage.stage,
             robustness=first.robustness,
@@ -115,8 +115,11 @@ class LeastRobust:
             signals={name: np.array(values[index]) for name, values in rollouts.signals.items()},
             detected=np.array(faultless(detected, slots=self._slots)),
             right_by_slot=right_by_slot(detected, slots=self._slots),
-            **latents,
         )
+        if latents is None:
+            return rollout
+        start, noise = np.array(latents.start[index]), np.array(latents.noise[index])
+        return replace(rollout, start=start, noise=noise)
 
 
 def _runs_text(steps: IntArray) -> str:

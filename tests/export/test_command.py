@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.export import formats
-from pemviz.export.rollout import UNDATED, read_ranked_rollout
+from pemviz.runs.ranked_rollout import UNDATED, read_ranked_rollout
 from tests.comparable_results import without_digests
 
 

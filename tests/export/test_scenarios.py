@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pemviz.cli.main import main
-from pemviz.export.rollout import read_ranked_rollout
+from pemviz.runs.ranked_rollout import read_ranked_rollout
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.simulators.braking.contact import first_contact
 

@@ -12,7 +12,7 @@ from pyarrow import parquet
 import pemviz
 from pemviz.cli.main import main
 from pemviz.export.formats import METADATA, csv_bytes, parquet_bytes
-from pemviz.export.rollout import read_ranked_rollout
+from pemviz.runs.ranked_rollout import read_ranked_rollout
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out

@@ -7,10 +7,12 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
-from pemviz.export.rollout import read_ranked_rollout
 from pemviz.panel.loading import load_run
 from pemviz.reports.markdown import summary_markdown
+from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.observers import LeastRobust
+from pemviz.runs.ranked_rollout import read_ranked_rollout, read_rollout
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
@@ -98,3 +100,25 @@ def test_a_table_whose_numbers_are_none_is_refused(folders, tmp_path):
         load_run(folder)
     with pytest.raises(InputError, match="rollout has shape"):
         read_ranked_rollout(folder, rank=1)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_kept_rollout_is_the_one_that_an_observer_saw(folders, name):
+    worst = LeastRobust()
+    run(build_experiment(ALL), observers=[worst])
+    seen, kept = worst.rollout, read_rollout(folders[name])
+    assert seen is not None
+    np.testing.assert_array_equal(kept.detected, seen.detected)
+    np.testing.assert_allclose(kept.time_s, seen.time_s)
+    for signal, values in kept.signals.items():
+        same = next(one for one in seen.signals if f"{signal}_".startswith(f"{one}_"))
+        np.testing.assert_allclose(values, seen.signals[same], rtol=1e-6)
+    assert list(kept.signals)[:3] == ["gap_m", "ego_speed_mps", "lead_speed_mps"]
+    assert (kept.stage, kept.robustness, kept.violated) == (
+        seen.stage,
+        pytest.approx(seen.robustness),
+        seen.violated,
+    )
+    assert kept.nll == pytest.approx(seen.nll, rel=1e-6)
+    assert str(read_rollout(folders[name], rank=2)).startswith("rollout of rank 2: ")
+    assert "<svg" in kept._repr_html_()

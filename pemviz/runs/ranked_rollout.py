@@ -1,7 +1,7 @@
 """One rollout of a kept run, by its rank."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
 from pemviz.errors import InputError
+from pemviz.runs.observers import Rollout
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result import RunResult
@@ -101,6 +102,42 @@ def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
         message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts kept in {folder}"
         raise InputError(message)
     return _chosen(table, int(order[rank - 1]), result=result, rank=rank)
+
+
+def read_rollout(folder: Path | str, *, rank: int = 1) -> Rollout:
+    """A rollout that a run folder keeps, as a notebook shows it; rank 1 is the least robust.
+
+    Signals have the names of files, with units (``gap_m``), as :func:`pemviz.read_result` does not
+    need the simulator.
+
+    Args:
+        folder: The run folder.
+        rank: From 1, as the summary, ``pemviz export`` and the panel rank.
+
+    Raises:
+        InputError: As :func:`read_ranked_rollout`.
+    """
+    found = read_ranked_rollout(Path(folder), rank=rank)
+    own, config = found.result.simulator, found.result.config
+    explained = () if found.result.explanation is None else found.result.explanation.slots
+    ghosts = {slot.name for slot in explained if not slot.nominal}
+    right = {name: bits != (name in ghosts) for name, bits in found.detected.items()}
+    log_p = np.sum(list(found.log_p.values()), dtype=np.float64)
+    dt_s = config.dt_s if own is None else own.dt_s
+    rollout = Rollout(
+        repetition=found.repetition,
+        stage=found.stage,
+        robustness=found.robustness,
+        violated=found.violated,
+        nll=-float(log_p),
+        time_s=np.arange(found.states, dtype=np.float64) * dt_s,
+        signals=found.signals,
+        detected=np.logical_and.reduce(list(right.values())),
+        right_by_slot={} if set(right) == {""} else right,
+        rank=rank,
+    )
+    latents = {name: found.latents[name] for name in ("start", "noise") if name in found.latents}
+    return replace(rollout, **latents)
 
 
 def _chosen(
