@@ -203,8 +203,8 @@ class ExperimentConfig:
     """Elite quantile: a stage learns from the least robust 1 - sigma (mixture: while it looks for
     violations, counted by weight); at least 0.95, below 1."""
     precision: Annotated[float, Range(low=0.001, high=1.0)] = 0.2
-    """Half-width of the 95 % interval, as a share of the answer, that method auto goes on for;
-    0.001 to 1."""
+    """Half-width of the 95 % interval, as a share of the answer, that method auto goes on for, of
+    the answer to each rule that a rollout has broken; 0.001 to 1."""
     max_rollouts: Annotated[int, Range(low=10, high=100_000_000)] | None = None
     """Rollouts at most that method auto samples from proposals; 10 to 100 million. Left out, ten
     times those of stages, rollouts and final_rollouts."""

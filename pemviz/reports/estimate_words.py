@@ -149,8 +149,12 @@ def chosen_text(result: RunResult) -> str | None:
     most = by_name(config.method).most
     if estimate is None or not result.stages or most is None:
         return None
-    first, half = result.stages[0], estimate.relative_half_width
-    reached = f"the interval is +- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
+    widths = {rule.name: rule.estimate.relative_half_width for rule in result.rules}
+    widths = {name: width for name, width in widths.items() if math.isfinite(width)}
+    whose = max(widths, key=lambda name: widths[name], default="")
+    first, half = result.stages[0], widths.get(whose, estimate.relative_half_width)
+    widest = f"the widest interval, of {whose}," if len(widths) > 1 else "the interval"
+    reached = f"{widest} is +- {100.0 * half:.{1 if half < 0.1 else 0}f} %"
     bound = exact_upper_bound(first.failures, first.rollouts)
     alone = "" if first.failures else f", which alone puts it below {bound:.2g}"
     words = (

@@ -176,6 +176,26 @@ def test_the_rarest_rule_decides_whether_counting_pays():
     assert chosen == {"both": "mixture", "one": "monte-carlo"}
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_each_rule_that_is_broken_is_answered_as_precisely_as_was_asked(seed):
+    """Of three, one is broken ten thousand times as rarely as another, and one never."""
+    simulator, pem = RARE
+    last = simulator.states - 1
+    rules = {
+        "near": f"always[0,{last}] (gap >= 2.5)",
+        "deep": f"always[0,{last}] (gap >= -1.5)",
+        "never": f"always[0,{last}] (gap >= -99)",
+    }
+    config = ExperimentConfig(method="auto", seed=seed, precision=0.03).with_rules(rules)
+    result = run(build_experiment(config, simulator=simulator, pem=pem))
+    near, deep, never = (rule.estimate for rule in result.rules)
+    assert never.failures == 0
+    assert 5_000 * deep.probability < near.probability
+    assert near.relative_half_width < deep.relative_half_width < 1.1 * config.precision
+    assert result.estimate.rollouts_simulated < 12_000
+    assert "the widest interval, of deep, is +- " in summary_text(result)
+
+
 def test_two_sides_of_random_starts_and_noise_are_both_found():
     """Misses apart, |distance| over a limit has two modes that are equally likely."""
     drift = Drift(states=9)

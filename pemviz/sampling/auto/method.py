@@ -10,8 +10,9 @@ relative half-width h takes is read::
 If it is within reach, as many are sampled and counted; with several rules F is that of the rarest,
 so that none is left to a handful. Else all plain rollouts enter the pool of
 :class:`pemviz.sampling.mixture.method.MixtureSampling`, whose every weight they bound. Before its
-last stage its answer so far is looked at: where a diagnostic undermines it, or the half-width is
-far from h, learning goes on with twice the rollouts; else the last stage has as many as h takes.
+last stage its answers so far are looked at, with several rules that to each which a rollout has
+broken: where a diagnostic undermines one, or a half-width is far from h, learning goes on with
+twice the rollouts; else the last stage has as many as h takes.
 If only that stage shows what undermines the answer, it is learned from too, and learning goes on,
 as far as rollouts are left; but not from one so large that it comes in parts. The answer has to
 agree with the plain count.
@@ -23,7 +24,7 @@ that goes on from them decides as it would have.
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -236,8 +237,11 @@ class AutoSampling:
     def _gone_on(
         self, state: AutoState, method: MixtureSampling, inner: MixtureState
     ) -> MixtureSampling:
-        """Before the last stage: as many rollouts more as the answer so far asks for."""
-        found = method.preview(inner)
+        """Before the last stage: as many rollouts more as the answers so far ask for."""
+        found = _asked_for(
+            inner.rules,
+            lambda rule: method.preview(method.under_rule(inner, rule) if rule else inner),
+        )
         drawn, left, least = self._counts(state, method, inner)
         # what is hard to learn takes more rollouts than a first answer shows
         barely_learned = inner.is_hard_to_learn and method.rollouts == self.mixture.rollouts
@@ -245,7 +249,7 @@ class AutoSampling:
             longer = self._longer(method, left=left, least=least)
             if longer is not None:
                 return longer
-        half = found.relative_half_width
+        half = max(each.relative_half_width for each in found)
         if not math.isfinite(half):
             return replace(method, final_rollouts=least)
         wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
@@ -258,7 +262,10 @@ class AutoSampling:
     ) -> tuple[AutoState, StageResult]:
         """After the last stage: learned from as well, if it shows what undermines the answer."""
         method, inner = proposing.method, proposing.state
-        if len(inner.frozen) > 1 or not self._is_far(self.estimate(state)):
+        found = _asked_for(
+            inner.rules, lambda rule: self.estimate(self.under_rule(state, rule) if rule else state)
+        )
+        if len(inner.frozen) > 1 or not self._is_far(found):
             return state, result
         _, left, least = self._counts(state, method, inner)
         longer = self._longer(method, left=left, least=least)
@@ -283,10 +290,13 @@ class AutoSampling:
             least = min(least, left)
         return drawn, left, least
 
-    def _is_far(self, found: Estimate) -> bool:
+    def _is_far(self, found: Sequence[Estimate]) -> bool:
         """Whether an answer asks for more to learn from, not only to count."""
-        wrong = undermining(found.diagnostics, basis="weights")
-        return bool(wrong) or found.relative_half_width > FAR_FACTOR * self.precision
+        return any(
+            undermining(each.diagnostics, basis="weights")
+            or each.relative_half_width > FAR_FACTOR * self.precision
+            for each in found
+        )
 
     def _longer(self, method: MixtureSampling, *, left: int, least: int) -> MixtureSampling | None:
         """The method with more stages of twice the rollouts, if so many are left."""
@@ -352,6 +362,14 @@ def _proposing_step(
     inner, result = proposing.method.step(replace(problem, finished=finished), proposing.state)
     state = replace(state, proposing=replace(proposing, state=inner))
     return state, replace(result, stage=result.stage + before)
+
+
+def _asked_for(
+    rules: Sequence[str], answer: Callable[[str | None], Estimate]
+) -> tuple[Estimate, ...]:
+    """The answers that are to be precise: to any rule, and to each that a rollout has broken."""
+    own = (answer(rule) for rule in rules)
+    return (answer(None), *(found for found in own if found.failures))
 
 
 def _fewest_failures(problem: Problem, counted: WeighedRollouts) -> int:
