@@ -25,6 +25,7 @@ copyright = "the pemviz developers"
 language = "en"
 
 extensions = [
+    "commands",
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
@@ -34,6 +35,7 @@ extensions = [
 ]
 exclude_patterns = ["README.md", "_ext", "_static"]
 nitpicky = False
+smartquotes = False  # would make a dash of the two before an option
 
 # MyST
 myst_enable_extensions = [

@@ -49,11 +49,15 @@ class Option:
     Attributes:
         name: Without dashes, as in a configuration: ``scenario.dt_s``.
         words: As it is typed, with what follows it.
+        text: What it does.
+        default: What holds where it is left out, unless the text says so; ``None`` if it must be
+            given.
     """
 
     name: str
     words: str
     text: str
+    default: str | None
 
 
 def asked_help(words: Sequence[str]) -> str | None:
@@ -128,7 +132,8 @@ def options_of(kind: type, default: object | None = None, *, table: str = "") ->
         yield Option(
             name,
             f"{typed} {'' if positional else _values(base)}{' ...' * repeated}".rstrip(),
-            f"{docs.get(one.name, '')}{_default_text(value)}",
+            docs.get(one.name, ""),
+            _default_text(value),
         )
 
 
@@ -164,15 +169,15 @@ def _choices(literal: Any) -> Iterator[object]:
         yield from _choices(one) if get_origin(one) is Literal else (one,)
 
 
-def _default_text(value: object) -> str:
-    """What holds where the option is left out, unless its text says so."""
+def _default_text(value: object) -> str | None:
+    """What holds where the option is left out, unless its text says so; ``None``: it may not be."""
     if value is MISSING:
-        return " Required."
+        return None
     if value is None or value is False or value in ((), ""):
         return ""
     if isinstance(value, tuple):
         value = " ".join(str(each) for each in value)
-    return f" [{value:g}]" if isinstance(value, float) else f" [{value}]"
+    return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 
 def _topic_text(page: HelpPage, topic: str, options: Sequence[Option]) -> str:
@@ -184,8 +189,9 @@ def _topic_text(page: HelpPage, topic: str, options: Sequence[Option]) -> str:
 def _option_text(option: Option) -> str:
     width = min(WIDEST, shutil.get_terminal_size().columns)
     margin = " " * INDENT
+    after = " Required." if option.default is None else f" [{option.default}]" * bool(option.default)
     text = textwrap.fill(
-        option.text,
+        f"{option.text}{after}",
         width,
         initial_indent=margin,
         subsequent_indent=margin,
