@@ -25,7 +25,9 @@ copyright = "the pemviz developers"
 language = "en"
 
 extensions = [
+    "readable_types",  # before autodoc
     "commands",
+    "settings",
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
@@ -63,6 +65,9 @@ nb_ipywidgets_js = {}  # would be asked of another host
 # Python
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 80
+python_display_short_literal_types = True
 autodoc_preserve_defaults = True
 autoclass_content = "class"
 napoleon_google_docstring = True
