@@ -20,6 +20,7 @@ ALIASES = (
     ("Array", AnyArray),
     ("Rows", Rows),
 )
+FUNCTION = re.compile(r"<function (?:[\w.]*\.)?(\w+)[^>]*>")
 MODULES = re.compile(r"~(?:\w+\.)+")
 written_out = sphinx.util.typing.stringify_annotation
 
@@ -46,7 +47,8 @@ def signature_text(*event: Any) -> tuple[str, str] | None:
         return "", ""
     if signature is None:
         return None
-    return MODULES.sub("", signature.replace("<factory>", "...")), returned
+    plain = FUNCTION.sub(r"\1", signature.replace("<factory>", "..."))
+    return MODULES.sub("", plain), returned
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
