@@ -189,7 +189,8 @@ def _topic_text(page: HelpPage, topic: str, options: Sequence[Option]) -> str:
 def _option_text(option: Option) -> str:
     width = min(WIDEST, shutil.get_terminal_size().columns)
     margin = " " * INDENT
-    after = " Required." if option.default is None else f" [{option.default}]" * bool(option.default)
+    given = f" [{option.default}]" if option.default else ""
+    after = " Required." if option.default is None else given
     text = textwrap.fill(
         f"{option.text}{after}",
         width,
