@@ -364,9 +364,28 @@ class ShownInNotebooks:
 class Estimate(ShownInNotebooks):
     """A failure probability with what is needed to judge it.
 
-    Undefined values are ``None``. ``ci_low`` and ``ci_high`` bound the probability at
-    ``confidence``; with no failure only Monte Carlo has an upper bound. Importance weights may
-    carry an estimate, and any bound, above 1.
+    Undefined values are ``None``. Importance weights may carry an estimate, and any bound, above 1.
+
+    Attributes:
+        method: Which formed it.
+        probability: That a rollout violates the specification.
+        log10_probability: Its decimal logarithm, also where the probability is below what a
+            float64 holds; ``None`` if nothing failed.
+        std_error: Standard error of the probability, sampling alone.
+        ci_low: Lower end at ``confidence``; ``None`` if nothing failed.
+        ci_high: Upper end; if nothing failed only Monte Carlo has one.
+        rollouts_simulated: All that were, those that the estimate leaves out too.
+        rollouts_in_estimate: Those that it is formed from.
+        failures: Of these, those that violate.
+        nll_mean: Mean negative log likelihood of the violations under the error model [nats].
+        nll_log_mean: Negative logarithm of their mean likelihood [nats].
+        ess: Effective sample size: how many equally weighted violations the estimate is worth.
+        pareto_k: Shape of the tail of the violations' weights, k-hat; ``None`` of too few.
+        max_weight_share: Share of the estimate that the heaviest rollout carries.
+        unbiased_probability: Of rollouts alone whose proposals were fixed before they were drawn.
+        unbiased_std_error: Of that.
+        diagnostics: What is wrong with the estimate.
+        confidence: Level of the interval.
     """
 
     method: str

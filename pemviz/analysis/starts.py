@@ -123,7 +123,13 @@ def _named(simulator: NamesStarts, latents: FloatArray) -> Mapping[str, FloatArr
 
 @dataclass(frozen=True)
 class QuantileRange:
-    """A quantile with its 95 % interval, in the value's unit."""
+    """A quantile with its 95 % interval, in the value's unit.
+
+    Attributes:
+        value: The quantile.
+        low: Lower end of the interval.
+        high: Upper end.
+    """
 
     value: float
     low: float

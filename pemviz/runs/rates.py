@@ -19,6 +19,15 @@ class ViolationRate:
     """How many violations an hour of driving brings, as ``result.json`` has it; see :class:`Rate`.
 
     An encounter counts once, however often it violates.
+
+    Attributes:
+        rule: The rule's name; ``None``: the specification, or any rule.
+        per_hour: Violations an hour of driving [1/h].
+        low: The lower end, of the interval of all that is not known [1/h].
+        high: The upper end [1/h].
+        hours_between: Hours of driving between two violations, on average [h].
+        hours_low: At the upper end of the rate [h].
+        hours_high: At its lower end [h].
     """
 
     rule: str | None
@@ -35,6 +44,15 @@ class DistanceRate:
     """How many violations a kilometre brings, as ``result.json`` has it; see :class:`Rate`.
 
     A rollout counts once, however often it violates.
+
+    Attributes:
+        rule: The rule's name; ``None``: the specification, or any rule.
+        per_km: Violations a kilometre [1/km].
+        low: The lower end, of the interval of all that is not known [1/km].
+        high: The upper end [1/km].
+        km_between: Kilometres between two violations, on average [km].
+        km_low: At the upper end of the rate [km].
+        km_high: At its lower end [km].
     """
 
     rule: str | None

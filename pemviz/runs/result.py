@@ -33,6 +33,7 @@ class PemInfo:
     """Which perception error model, or position errors, a result rests on."""
 
     name: str
+    """A shipped name, or that of its card."""
     digest: str
     """SHA-256 of its content."""
     data: str
@@ -44,6 +45,7 @@ class OwnSystem:
     """A simulator of the user's own, and by which code it is."""
 
     name: str
+    """Its own, or its class's."""
     states: int
     """States in a rollout (T)."""
     dt_s: AtLeastZero
@@ -60,7 +62,14 @@ class OwnSystem:
 class MeasuredTau:
     """A memory time measured on video [s], with its interval, and the frailty fitted beside it.
 
-    The frailty is ``None`` in older results, as are its interval's ends where it was not fitted.
+    Attributes:
+        tau_s: Memory time [s].
+        low_s: Lower end of its interval [s].
+        high_s: Upper end [s].
+        confidence: Level of both intervals.
+        frailty: Fitted beside it; ``None`` in older results.
+        frailty_low: Lower end of its interval; ``None`` where it was not fitted.
+        frailty_high: Upper end; likewise.
     """
 
     tau_s: AtLeastZero
@@ -182,8 +191,11 @@ class RuleAnswer:
     """How likely one of several rules is broken, whatever becomes of the others."""
 
     name: str
+    """The rule's."""
     formula: str
+    """What it says."""
     estimate: Estimate
+    """How likely it is broken."""
     measured: tuple[MeasuredAnswer, ...] = ()
     """As :attr:`RunMemory.measured`."""
     refits: ModelInterval | None = None
@@ -194,8 +206,19 @@ class RuleAnswer:
 class StageSummary:
     """A stage without its rollouts; see :class:`pemviz.types.StageResult`.
 
-    ``threshold`` is ``None`` also where it is infinite: where the specification does not depend
-    on the rollout.
+    Attributes:
+        repetition: Zero-based.
+        stage: 0 is pre-training, then the stages that learn, then the final ones.
+        kind: What the stage is for.
+        rollouts: How many it drew.
+        threshold: Its level of robustness; ``None`` where there is none, or where it is infinite:
+            where the specification does not depend on the rollout.
+        elites: Rollouts learned from.
+        failures: Rollouts that violate.
+        probability: The stage's own importance sampling estimate.
+        log10_probability: Its decimal logarithm; ``None`` if nothing failed.
+        ess: Effective sample size of the failing weights; ``None`` if nothing failed.
+        loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
     """
 
     repetition: Count

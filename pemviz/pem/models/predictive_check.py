@@ -151,6 +151,8 @@ class CheckedQuantity:
     In the unit of :data:`QUANTITIES`. ``None``: nothing was there to compute it from.
 
     Attributes:
+        name: Which quantity.
+        observed: Of the tracks.
         expected: Mean over the draws.
         low: 2.5 % quantile of the draws.
         high: 97.5 % quantile.
@@ -172,8 +174,10 @@ class CheckedVariant:
     """A model's variant, with the memory that its misses were drawn with.
 
     Attributes:
+        name: Which variant.
         tau_s: Memory time [s]; where parts of the sequences had one each, their median.
         frailty: Likewise.
+        quantities: What was compared.
     """
 
     name: Variant
