@@ -28,6 +28,7 @@ extensions = [
     "readable_types",  # before autodoc
     "commands",
     "settings",
+    "result_fields",
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",

@@ -22,13 +22,13 @@ OTHERS = {  # programs and packages of others, with their own options
     "pemviz/recording/open.py",
     "pemviz/cli/completion.py",
 }
-PAGES = ("README.md",)
+PAGES = ("README.md", *(str(p.relative_to(ROOT)) for p in sorted((ROOT / "docs").rglob("*.md"))))
 OF_BENCHMARKS = {
     *("--seeds", "--first-seed", "--cases", "--checkout", "--without-numba", "--threshold"),
     *("--budget", "--truths", "--list", "--methods"),
 }
 """Of ``python -m benchmarks``, which tests/bench tries."""
-NOT_OURS = re.compile(r"(pytest|python|pip|tests?\.|benchmarks|tools/|studies|git|dask|curl)\b")
+NOT_OURS = re.compile(r"(pytest|python|pip|sphinx|tests?\.|benchmarks|tools/|studies|git|dask|curl)\b")
 
 
 def texts_of(path):
