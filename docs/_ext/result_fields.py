@@ -29,8 +29,11 @@ def kind_of(schema: dict[str, Any]) -> str:
     kind = schema["type"]
     if isinstance(kind, list):
         return f"{kind_of({**schema, 'type': kind[0]})} or null"
-    if kind == "array":
-        return f"list of {kind_of(schema['items'])}"
+    return f"list of {kind_of(schema['items'])}" if kind == "array" else _plain_kind(schema)
+
+
+def _plain_kind(schema: dict[str, Any]) -> str:
+    kind = schema["type"]
     inner = schema.get("additionalProperties")
     if kind == "object" and isinstance(inner, dict):
         return f"table of {kind_of(inner)} by name"

@@ -28,7 +28,9 @@ OF_BENCHMARKS = {
     *("--budget", "--truths", "--list", "--methods"),
 }
 """Of ``python -m benchmarks``, which tests/bench tries."""
-NOT_OURS = re.compile(r"(pytest|python|pip|sphinx|tests?\.|benchmarks|tools/|studies|git|dask|curl)\b")
+NOT_OURS = re.compile(
+    r"(pytest|python|pip|sphinx|tests?\.|benchmarks|tools/|studies|git|dask|curl)\b"
+)
 
 
 def texts_of(path):
