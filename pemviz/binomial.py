@@ -11,7 +11,14 @@ from pemviz.arrays import FloatArray, IntArray
 
 
 def exact_interval(events: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    """The two-sided interval; (0, 1) without trials."""
+    """The two-sided interval; (0, 1) without trials.
+
+    Example:
+        >>> from pemviz.binomial import exact_interval
+        >>> low, high = exact_interval(2, 1000)
+        >>> print(f"{low:.2e} to {high:.2e}")
+        2.42e-04 to 7.21e-03
+    """
     if trials == 0:
         return 0.0, 1.0
     each = (1.0 + confidence) / 2.0
@@ -20,7 +27,13 @@ def exact_interval(events: int, trials: int, *, confidence: float = 0.95) -> tup
 
 
 def exact_upper_bound(events: int, trials: int, *, confidence: float = 0.95) -> float:
-    """The one-sided upper bound; 1 without trials."""
+    """The one-sided upper bound; 1 without trials.
+
+    Example:
+        >>> from pemviz.binomial import exact_upper_bound
+        >>> print(f"{exact_upper_bound(0, 3000):.1e}")  # the rule of three
+        1.0e-03
+    """
     return float(
         exact_upper_bounds(np.array(events), np.array(trials - events), confidence=confidence)
     )

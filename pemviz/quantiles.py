@@ -45,6 +45,13 @@ def log_normal(z: FloatArray, *, median: Numbers, spread: Numbers) -> FloatArray
 
     Raises:
         ConfigError: One of them is not above 0.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz import quantiles
+        >>> z = np.array([-1.0, 0.0, 1.0])
+        >>> print(quantiles.log_normal(z, median=30.0, spread=0.4).round(1))
+        [20.1 30.  44.8]
     """
     _require_above_0("log_normal: median", median)
     _require_above_0("log_normal: spread", spread)
@@ -76,6 +83,13 @@ def truncated(z: FloatArray, *, low: float, high: float) -> FloatArray:
 
     Raises:
         ConfigError: ``low`` is not below ``high``.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz import quantiles
+        >>> z = quantiles.truncated(np.array([-9.0, 0.0, 9.0]), low=-1.0, high=2.0)
+        >>> print(quantiles.normal(z, mean=28.0, sd=4.0).round(1))  # within 24 to 36
+        [24.  28.7 36. ]
     """
     if not low < high:
         message = f"truncated: low = {low:g}: must be below high = {high:g}"
@@ -98,6 +112,12 @@ def empirical(
     Raises:
         ConfigError: Fewer than two values, one that is no finite number, or nothing between
             ``low`` and ``high``.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz import quantiles
+        >>> print(quantiles.empirical(np.array([-9.0, 0.0, 9.0]), sample=np.array([3.0, 1.0, 8.0])))
+        [1. 3. 8.]
     """
     ordered = np.sort(np.asarray(sample, dtype=np.float64), axis=None)
     if ordered.size < 2 or not np.isfinite(ordered).all():

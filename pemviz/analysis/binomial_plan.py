@@ -33,7 +33,15 @@ class LabelsNeeded:
 
 
 def fewest_obstacles(missed: int, *, bound: float, confidence: float) -> int:
-    """Fewest n for which ``missed`` misses of n bound P(missed) by ``bound`` at ``confidence``."""
+    """Fewest n for which ``missed`` misses of n bound P(missed) by ``bound`` at ``confidence``.
+
+    Example:
+        >>> from pemviz.analysis.binomial_plan import fewest_obstacles
+        >>> fewest_obstacles(0, bound=0.01, confidence=0.95)
+        299
+        >>> fewest_obstacles(2, bound=0.01, confidence=0.95)
+        628
+    """
     alpha = 1.0 - confidence
     if bound >= 1.0:
         return missed
@@ -78,6 +86,12 @@ def labels_needed(
 
     Returns:
         ``None`` where even MOST_LABELS would not do: the detector misses too often.
+
+    Example:
+        >>> from pemviz.analysis.binomial_plan import labels_needed
+        >>> need = labels_needed(obstacles=0, missed=0, bound=0.02, assumed=0.01, confidence=0.95)
+        >>> need.labels, need.most_missed, round(need.power, 3)
+        (1271, 17, 0.907)
     """
     if assumed >= bound:
         return None

@@ -119,6 +119,12 @@ def read_distribution(text: str, *, name: str) -> Distribution:
 
     Raises:
         ConfigError: One line: what is wrong, and what is allowed.
+
+    Example:
+        >>> from pemviz.config.distribution_text import read_distribution
+        >>> gap = read_distribution("lognormal(30, 0.3) in [5, 80]", name="gap")
+        >>> gap.kind, gap.parameters, gap.low, gap.high
+        ('lognormal', (30.0, 0.3), 5.0, 80.0)
     """
     where = f"{name} = {shown(text)}"
     if len(text) > LONGEST_TEXT:

@@ -14,6 +14,11 @@ def read_rules(words: Sequence[str]) -> Mapping[str, str]:
 
     Raises:
         ConfigError: One is not NAME=FORMULA, or a name stands twice.
+
+    Example:
+        >>> from pemviz.config.rule_words import read_rules
+        >>> read_rules(["no-collision=always[0,90] (gap_lead > 0)"])
+        {'no-collision': 'always[0,90] (gap_lead > 0)'}
     """
     return _read_named(words, kind="rule", value="FORMULA")
 

@@ -411,7 +411,14 @@ class ExperimentConfig:
 
 
 def conjunction(rules: Sequence[Rule]) -> str:
-    """The specification that all of at least one rule are kept."""
+    """The specification that all of at least one rule are kept.
+
+    Example:
+        >>> from pemviz.config.settings import Rule, conjunction
+        >>> apart, slow = "always[0,9] (gap > 0)", "always[0,9] (v < 9)"
+        >>> conjunction([Rule("apart", apart), Rule("slow", slow)])
+        '(always[0,9] (gap > 0)) and (always[0,9] (v < 9))'
+    """
     return " and ".join(f"({rule.formula})" for rule in rules)
 
 

@@ -104,6 +104,11 @@ def tracker_grid(text: str) -> tuple[str, ...]:
 
     Raises:
         ConfigError: One line: what is wrong, and what is allowed.
+
+    Example:
+        >>> from pemviz.config.tracker_text import tracker_grid
+        >>> tracker_grid("hits=2:3,window=3,coast=0:0.5:0.5")
+        ('2/3,coast=0', '2/3,coast=0.5', '3/3,coast=0', '3/3,coast=0.5')
     """
     where = f"tracker = {shown(text)}"
     ranges: dict[str, tuple[str, ...]] = {}

@@ -95,6 +95,17 @@ def load_pem(name_or_path: str, *, allow_python: bool = False) -> Pem:
 
     Raises:
         PemError: no such model, or one that cannot be used; one line says why.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz.pem import SALIENT_COLUMNS, load_pem
+        >>> pem = load_pem("ml-nn")
+        >>> size = {"height_m": 1.5, "width_m": 1.6, "length_m": 3.9}
+        >>> heading = {"alpha_rad": -np.pi / 2, "rotation_y_rad": -np.pi / 2}  # as the ego
+        >>> car = {"y_m": 1.65, "z_m": 12.0, **size, **heading}  # the rest 0: in plain view
+        >>> logit = pem.logit(np.array([[car.get(name, 0.0) for name in SALIENT_COLUMNS]]))
+        >>> print((1 / (1 + np.exp(logit))).round(4))  # P(missed) at 12 m
+        [0.0113]
     """
     if name_or_path in shipped_pems():
         return load_file(asset_path(ASSET_FOLDER, f"{name_or_path}{SUFFIX}"))

@@ -43,6 +43,13 @@ def read_result(folder: Path | str, *, most_bytes: float = math.inf) -> RunResul
     Raises:
         UnreadableResultError: ``result.json`` is no JSON document.
         InputError: Something is damaged, or does not agree; one line names it.
+
+    Example:
+        >>> import pemviz
+        >>> from pemviz.files.shipped import sample_run
+        >>> result = pemviz.read_result(sample_run())
+        >>> print(result.status, f"{result.estimate.probability:.1e}", result.estimate.failures)
+        done 5.6e-17 87
     """
     folder = Path(folder)
     kept = read_kept(folder)

@@ -46,6 +46,14 @@ def robustness(formula: Formula, signals: Mapping[str, AnyArray], metric: Metric
         FormulaError: the formula uses an unknown signal or looks past the rollouts' end.
         InputError: a signal has the wrong shape or type, is not finite, or (agm) leaves
             its bounds; the message names rollout and step.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz import stl
+        >>> gap_m = np.array([[9.0, 4.0, 2.5], [9.0, 3.0, 1.5]])  # two rollouts, three states
+        >>> formula = stl.parse("always[0,2] (gap >= 2.0)")
+        >>> print(stl.robustness(formula, {"gap": gap_m}, stl.Classical()))
+        [ 0.5 -0.5]
     """
     return robustness_trace(formula, signals, metric, steps=1)[:, 0]
 

@@ -94,6 +94,17 @@ def parse(text: str, *, signals: Collection[str] | None = None) -> Formula:
         FormulaError: the text is no formula, is ill-typed, nested more than
             ``MAX_DEPTH`` levels, longer than ``MAX_TEXT`` or names an unknown signal; line and
             column point at the mistake.
+
+    Example:
+        >>> from pemviz import stl
+        >>> formula = stl.parse("always[0,99] (gap >= 2.0)", signals=["gap", "ego_speed"])
+        >>> formula.horizon_steps()
+        99
+        >>> try:
+        ...     stl.parse("always[0,99] (gab >= 2.0)", signals=["gap", "ego_speed"])
+        ... except stl.FormulaError as error:
+        ...     print(error)
+        formula, line 1, column 15: unknown signal 'gab'; did you mean 'gap'? known: ego_speed, gap
     """
     import lark  # noqa: PLC0415 (only needed where text is parsed)
 

@@ -49,6 +49,15 @@ def violated(formula: Formula, signals: Mapping[str, AnyArray]) -> BoolArray:
 
     Returns:
         ``[N]`` bool.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz import stl
+        >>> touches = {"gap": np.array([[3.0, 2.0]])}
+        >>> print(stl.violated(stl.parse("always[0,1] (gap >= 2.0)"), touches))
+        [False]
+        >>> print(stl.violated(stl.parse("always[0,1] (gap > 2.0)"), touches))
+        [ True]
     """
     classical = robustness(formula, signals, Classical())
     fails = classical < 0.0

@@ -65,7 +65,13 @@ class Memory:
 
 
 def persistence(since_s: FloatArray | float, tau_s: float) -> FloatArray:
-    """Rho = exp(-h / tau), elementwise ``[...]`` for h seconds between two outcomes."""
+    """Rho = exp(-h / tau), elementwise ``[...]`` for h seconds between two outcomes.
+
+    Example:
+        >>> from pemviz.pem.models.memory import persistence
+        >>> print(persistence(0.1, 0.25).round(3))  # frames 0.1 s apart, a memory time of 0.25 s
+        0.67
+    """
     if tau_s == 0.0:
         return np.zeros(np.shape(since_s))
     return np.exp(-np.asarray(since_s, dtype=np.float64) / tau_s)
@@ -80,6 +86,15 @@ def remembering_logit(
         logit: The error model's own logit of P(detected) ``[...]``.
         missed_before: Whether the outcome before was a miss ``[...]``.
         rho: Correlation with the outcome before, from 0 to below 1; 0 gives ``logit`` itself.
+
+    Example:
+        >>> import numpy as np
+        >>> from scipy.special import expit, logit
+        >>> from pemviz.pem.models.memory import remembering_logit
+        >>> own, before = logit(np.array([0.9, 0.9])), np.array([True, False])
+        >>> after = remembering_logit(own, missed_before=before, rho=0.67)
+        >>> print(expit(-after).round(3))  # P(missed) after a miss, and after a hit; alone 0.1
+        [0.703 0.033]
     """
     zero = np.zeros_like(logit)
     with np.errstate(divide="ignore"):
@@ -101,6 +116,14 @@ def frail_logit(logit: FloatArray, *, visibility: FloatArray, frailty: float) ->
         logit: The error model's own logit of P(detected) ``[...]``.
         visibility: The obstacle's u ``[...]``, standard normal; the larger, the harder to see.
         frailty: f; 0 gives ``logit`` itself.
+
+    Example:
+        >>> import numpy as np
+        >>> from scipy.special import expit, logit
+        >>> from pemviz.pem.models.memory import frail_logit
+        >>> u = np.array([-1.0, 0.0, 1.0])  # easy, ordinary and hard to see
+        >>> print(expit(-frail_logit(np.full(3, logit(0.9)), visibility=u, frailty=0.7)).round(3))
+        [0.012 0.059 0.194]
     """
     if frailty == 0.0:
         return logit + 0.0 * visibility

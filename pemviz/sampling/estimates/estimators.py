@@ -169,6 +169,13 @@ def log_normal_interval(
     The log of the estimate is taken as normal (as t with ``degrees_of_freedom``) with
     variance log(1 + relative_error^2), that of a log-normal with this relative error. No
     interval is narrower than the rounding of weights that are products over many steps.
+
+    Example:
+        >>> import math
+        >>> from pemviz.sampling.estimates.estimators import log_normal_interval
+        >>> low, high = log_normal_interval(math.log(1e-9), relative_error=0.1)
+        >>> print(f"{low:.2e} to {high:.2e}")
+        8.22e-10 to 1.22e-09
     """
     half = math.sqrt(math.log1p(max(relative_error, ROUNDING) ** 2))
     level = 0.5 + CONFIDENCE / 2.0

@@ -21,6 +21,14 @@ def log_mean_failing_weight(log_weight: FloatArray, violated: BoolArray) -> floa
 
     The importance sampling estimate of the failure probability (the paper's equation for
     mu-hat), as a logarithm [nats].
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
+        >>> log_weight = np.log([0.02, 0.01, 3.0, 2.0])
+        >>> violated = np.array([True, True, False, False])
+        >>> print(round(np.exp(log_mean_failing_weight(log_weight, violated)), 6))  # 0.03 / 4
+        0.0075
     """
     return log_mean_weight(log_weight[violated], of=log_weight.size)
 

@@ -38,12 +38,28 @@ class WeightFigures:
 
 
 def effective_sample_size(log_weight: FloatArray) -> float:
-    """Kish's effective sample size (sum w)^2 / sum w^2 of weights ``[M]``, M at least 1."""
+    """Kish's effective sample size (sum w)^2 / sum w^2 of weights ``[M]``, M at least 1.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
+        >>> round(effective_sample_size(np.log([1.0, 1.0, 1.0, 1.0])), 6)
+        4.0
+        >>> round(effective_sample_size(np.log([1.0, 1.0, 1.0, 100.0])), 2)
+        1.06
+    """
     return float(np.exp(2.0 * log_sum(log_weight) - log_sum(2.0 * log_weight)))
 
 
 def largest_share(log_weight: FloatArray) -> float:
-    """Share of the total weight that the largest of ``[M]`` carries, M at least 1."""
+    """Share of the total weight that the largest of ``[M]`` carries, M at least 1.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz.sampling.estimates.weight_diagnostics import largest_share
+        >>> round(largest_share(np.log([1.0, 1.0, 2.0])), 6)
+        0.5
+    """
     return float(np.exp(np.max(log_weight) - log_sum(log_weight)))
 
 
@@ -64,6 +80,15 @@ def pareto_k_hat(log_weight: FloatArray) -> float | None:
     """Shape of the generalised Pareto fitted to the largest weights of ``[M]``.
 
     ``None`` where the tail has fewer than five weights, no spread, or more than doubles hold.
+
+    Example:
+        >>> import numpy as np
+        >>> from pemviz.sampling.estimates.weight_diagnostics import pareto_k_hat
+        >>> exceeds = np.arange(0.5, 1000.0) / 1000.0  # P(weight > w) of each of a thousand
+        >>> [round(pareto_k_hat(-k * np.log(exceeds)), 1) for k in (0.3, 0.5)]  # w^(-1 / k)
+        [0.3, 0.5]
+        >>> pareto_k_hat(np.zeros(1000)) is None  # equal weights have no tail
+        True
     """
     tail = int(min(log_weight.size // 5, np.ceil(3 * np.sqrt(log_weight.size))))
     if tail < MINIMUM_TAIL or np.ptp(np.sort(log_weight)[-tail:]) == 0.0:

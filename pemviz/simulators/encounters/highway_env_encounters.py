@@ -135,12 +135,12 @@ def encounter_frames(
 ) -> Iterator[NDArray[np.uint8]]:
     """Film a rollout with outcomes ``[T-1, K]`` and start ``[S]`` or medians; needs no display.
 
-    Raises:
-        ConfigError: It measures with errors, whose noise no film is told of.
-
     Returns:
         T frames, one a state, each ``[160, 640, 3]`` RGB: the road from above, its left side on
         top, the ego blue.
+
+    Raises:
+        ConfigError: It measures with errors, whose noise no film is told of.
     """
     if simulator.errors is not None:
         which = simulator.config.logical_scenario
