@@ -14,6 +14,11 @@ from rich.progress import (
 )
 
 
+def drawn_on_terminal(console: Console) -> bool:
+    """Whether a bar can be redrawn in place: a notebook asks for colours, but is no terminal."""
+    return console.is_terminal and console.file.isatty()
+
+
 def bar(console: Console, *counted: ProgressColumn, disable: bool = False) -> Progress:
     """A bar that goes when it is done: what is under way, how far it is, the time left.
 
@@ -32,7 +37,7 @@ def progress_bar(what: str) -> Generator[Callable[[int, int], None]]:
     """Yield a function that takes (steps done, steps in all); nothing but on a terminal."""
     console = Console(stderr=True)
     # elsewhere than on a terminal rich would leave an empty line
-    with bar(console, MofNCompleteColumn(), disable=not console.is_terminal) as progress:
+    with bar(console, MofNCompleteColumn(), disable=not drawn_on_terminal(console)) as progress:
         task = progress.add_task(what, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -41,7 +46,7 @@ def progress_bar(what: str) -> Generator[Callable[[int, int], None]]:
 def jobs_progress() -> Generator[Callable[[int, int, str], None]]:
     """Yield a function that takes (jobs done, jobs in all, label): a bar, or a line a job."""
     console = Console(stderr=True)
-    if not console.is_terminal:
+    if not drawn_on_terminal(console):
         yield lambda done, total, label: console.print(
             f"{done} of {total}: {label}", highlight=False, markup=False, soft_wrap=True
         )

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, TextColumn
 
-from pemviz.bars import bar
+from pemviz.bars import bar, drawn_on_terminal
 from pemviz.cli.help import HelpPage
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
@@ -306,7 +306,7 @@ def _sweep_progress(total: int, *, done: int, quiet: bool) -> Generator[OnReport
         quiet: Leave out the lines of runs that are done, where there is no terminal.
     """
     console = Console(stderr=True)
-    if console.is_terminal:
+    if drawn_on_terminal(console):
         with _bar(console, total=total, done=done) as on_report:
             yield on_report
         return

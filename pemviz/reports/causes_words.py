@@ -117,7 +117,7 @@ def _target_tau(memory: MemorySensitivity) -> str:
     if memory.target_tau_s >= memory.tau_s:
         return "met already"
     guess = " (extrapolated)" if memory.warning else ""
-    return f"{memory.target_tau_s:.2g} s instead of {memory.tau_s:g} s{guess}"
+    return f"{memory.target_tau_s:.2g} s instead of {memory.tau_s:.3g} s{guess}"
 
 
 def _spread(spread: Spread, digits: int) -> str:

@@ -170,7 +170,7 @@ def assumption_line(memory: RunMemory | None) -> str | None:
             assumed += ": this error model was fitted to single frames, which cannot tell"
         others.insert(0, f"{here.probability:.1g} without memory")
     else:
-        assumed = f"A memory time of {memory.tau_s:g} s is an assumption"
+        assumed = f"A memory time of {memory.tau_s:.3g} s is an assumption"
         others.insert(0, f"{points[0.0].probability:.1g} if misses were independent")
     alike = memory.frailty == 0.0 and set(measured_s(0.0)) & set(names.values())
     note = f" ({ALL_ALIKE})" if alike else ""
@@ -183,7 +183,7 @@ def frailty_line(memory: RunMemory | None) -> str | None:
     if memory is None or not memory.frailty_curve:
         return None
     equal = _by_place(memory, BY_FRAILTY)[0.0].probability
-    assumed = f"a frailty of {memory.frailty:g}: {equal:.1g} if obstacles are alike (0)"
+    assumed = f"a frailty of {memory.frailty:.3g}: {equal:.1g} if obstacles are alike (0)"
     if memory.frailty == 0.0:
         assumed = f"that obstacles in the same state are alike (frailty 0): {equal:.1g} if they are"
     assumptions = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])

@@ -11,7 +11,7 @@ from rich.progress import (
     TextColumn,
 )
 
-from pemviz.bars import bar
+from pemviz.bars import bar, drawn_on_terminal
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
 from pemviz.runs.ranking import summarise_stage
 from pemviz.runs.result import StageSummary
@@ -125,9 +125,9 @@ def stage_line(stage: StageSummary, *, repetitions: int) -> str:
 def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]:
     """The observer that suits standard error."""
     console = Console(stderr=True)
-    if quiet and not console.is_terminal:
+    if quiet and not drawn_on_terminal(console):
         yield NoProgress()
-    elif not console.is_terminal:
+    elif not drawn_on_terminal(console):
         yield ProgressLines(console)
     else:
         with bar(console, TextColumn("{task.fields[counted]},")) as progress:

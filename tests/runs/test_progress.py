@@ -9,11 +9,17 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
+from pemviz.bars import progress_bar
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.controller import Watcher
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.progress import ProgressBar, ProgressLines, counted_in_words
+from pemviz.runs.progress import (
+    ProgressBar,
+    ProgressLines,
+    counted_in_words,
+    progress_observer,
+)
 from tests.reports.runs import EXPLANATION, PLAN, estimate, result
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
@@ -53,6 +59,14 @@ def test_both_displays_go_from_nothing_to_the_whole(method):
         assert shares[0] == 0.0
         assert shares[-1] == 1.0
         assert all(later >= earlier for earlier, later in itertools.pairwise(shares))
+
+
+def test_a_notebook_that_asks_for_colours_is_no_terminal(monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as ipykernel sets it for what a cell starts
+    with progress_observer() as observer, progress_bar("files") as on_progress:
+        assert isinstance(observer, ProgressLines)
+        on_progress(1, 2)
+    assert capsys.readouterr().err == ""
 
 
 def test_what_is_counted_is_said():
