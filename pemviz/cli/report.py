@@ -1,5 +1,6 @@
 """``pemviz report``: one page for a safety case from runs that were kept, its argument as data."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,6 +115,12 @@ def _write(arguments: ReportArguments) -> int:
         )
         write_gsn(arguments.gsn, argument)
         print(f"argument: {arguments.gsn}")
+        if judged is not None and arguments.runs:
+            argued = {run.folder.resolve() for one in judged.hazards for run in one.runs}
+            beside = [run.name for run in runs if run.folder.resolve() not in argued]
+            if beside:
+                why = "in no hazard of the budget, so not in the argument"
+                print(f"pemviz: {', '.join(beside)}: {why}", file=sys.stderr)
     if out is not None:
         write_named("out", out, safety_case_page(runs, below=below, budget=judged))
         print(f"report: {out}")

@@ -32,6 +32,7 @@ from pemviz.pem.models.own_features import Feature, OwnFeatures, own_features_of
 from pemviz.pem.models.position_errors import NoiseMemory, PositionErrorModel, constant_errors
 from pemviz.pem.models.protocol import (
     CLASS_NAMES,
+    COLUMN,
     OCCLUSION_NAMES,
     SALIENT_COLUMNS,
     DetectorModel,
@@ -42,6 +43,7 @@ from pemviz.pem.models.protocol import (
 
 __all__ = [
     "CLASS_NAMES",
+    "COLUMN",
     "KITTI_YOLOV3",
     "OCCLUSION_NAMES",
     "SALIENT_COLUMNS",

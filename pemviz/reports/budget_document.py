@@ -218,7 +218,7 @@ def _decides(judged: JudgedBudget) -> Section | None:
             FACTORS[one.kind],
             " and ".join(one.hazards),
             end_text(one.high_if_known, digits=3),
-            f"{1.0 - one.high_if_known / high:.0%}",
+            f"{max(1.0 - one.high_if_known / high, 0.0):.0%}",
         )
         for one in judged.effects
     )

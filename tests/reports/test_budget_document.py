@@ -1,11 +1,13 @@
 """The page of a risk budget: whole, self-contained, and what strangers wrote is text."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
 from pemviz.cli.main import main
 from pemviz.reports.budget_document import budget_document, next_steps, verdict_sentence
+from pemviz.reports.document import Table
 from pemviz.runs.risk_budget import judge_budget
 from tests.budgets import COUNTED, WEIGHED, hazard, look_at_memories, make_run, write_budget
 from tests.reports.test_safety_case import LOADS, well_formed
@@ -43,12 +45,22 @@ def test_the_page_has_budget_argument_and_evidence_and_fetches_nothing(folder, t
     assert not {element.tag for element in tree.iter()} & {"script", "link", "img", "iframe"}
 
 
-def test_runs_that_are_named_are_the_evidence(folder, tmp_path):
-    path = write_budget(folder / "budget.toml", hazard(), accepted=1.0)
-    out = tmp_path / "case.html"
-    words = ["report", str(folder / "weighed"), "--budget", str(path), "--out", str(out)]
-    assert main(words) == 0
+def test_runs_that_are_named_are_the_evidence(folder, tmp_path, capsys):
+    path = write_budget(folder / "budget.toml", hazard(runs=("looked",)), accepted=1.0)
+    out, words = tmp_path / "case.html", ["report", "--budget", str(path)]
+    words += [str(folder / "weighed"), str(folder / "looked"), "--gsn", str(tmp_path / "g.yaml")]
+    assert main([*words, "--out", str(out)]) == 0
     assert "Run 1: weighed" in out.read_text(encoding="utf-8")
+    told = "pemviz: weighed: in no hazard of the budget, so not in the argument"
+    assert capsys.readouterr().err.strip() == told
+
+
+def test_what_would_not_lower_the_upper_end_is_no_less_than_nothing(folder):
+    one = judged(folder, hazard(), accepted=1e-3)
+    worse = replace(one.effects[0], high_if_known=1.001 * one.risk.harm_per_hour.high)
+    document = budget_document(replace(one, effects=(worse,)))
+    (table,) = (block for block in document.blocks("decides") if isinstance(block, Table))
+    assert table.rows[0][-1] == "0%"
 
 
 def test_sentences_agree_with_the_figures(folder):
