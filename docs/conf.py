@@ -16,6 +16,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS / "_ext"))
 # Notebooks call `pemviz` and `python`: those that build the site.
+os.environ["PYTHONPATH"] = str(DOCS / "_ext")  # shell_cells
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
 
 project = "pemviz"
