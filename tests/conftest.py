@@ -19,9 +19,17 @@ TESTS = Path(__file__).resolve().parent
 TOGETHER = {
     *("browser", "panel", "recording", "reproduce", "studies", "sweep"),
     *(
+        "test_budget_document.py",
+        "test_edited_runs.py",
         "test_every_method.py",
+        "test_gsn_file.py",
+        "test_house_rules.py",
         "test_interpretation.py",
-        "test_kept_diagnostics.py",
+        "test_interval_words.py",
+        "test_learning_in_parts.py",
+        "test_memory_curve.py",
+        "test_result_file.py",
+        "test_risk_budget.py",
         "test_store.py",
     ),
 }
@@ -42,7 +50,7 @@ def shared(name: str) -> Path:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Browser tests are slow, and share one worker: two cores are too few for two browsers.
 
-    So do the tests of what else is in ``TOGETHER``: each has runs that take long to make.
+    So do the tests of what else is in ``TOGETHER``: each has what takes long to make.
     """
     for item in items:
         path = item.path.relative_to(TESTS)

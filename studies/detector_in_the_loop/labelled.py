@@ -47,11 +47,12 @@ def write_sequences(
     for start in range(offset, offset + count, AT_A_TIME):
         block = np.random.SeedSequence(seeds.entropy, spawn_key=(*seeds.spawn_key, start))
         drive = draw_drive(domain, count=AT_A_TIME, seeds=block)
-        sequence = np.repeat(np.arange(AT_A_TIME), FRAMES)
-        step = np.tile(np.arange(FRAMES), AT_A_TIME)
+        written = min(AT_A_TIME, offset + count - start)
+        sequence = np.repeat(np.arange(written), FRAMES)
+        step = np.tile(np.arange(FRAMES), written)
         labels = drive.labels(sequence, step)
         found = detector.detect(render(*drive.at(sequence, step)))
-        for own in range(min(AT_A_TIME, offset + count - start)):
+        for own in range(written):
             name, rows = f"{start + own:06d}.txt", slice(own * FRAMES, (own + 1) * FRAMES)
             write_text(folder / "label_02" / name, label_lines(labels, rows))
             write_text(folder / "boxes" / name, detection_lines(found, rows))

@@ -8,7 +8,8 @@ from pemviz.cli.main import main
 
 HIGHWAY = ["--method", "mixture", "--no-plan", "--simulator", "highway-env", "--stages", "1",
            "--rollouts", "12", "--final-rollouts", "12", "--no-recording", "--json",
-           "--no-measured-memory"]  # fmt: skip
+           "--no-measured-memory", "--scenario.states", "30", "--scenario.initial-gap-m", "10.5",
+           "--spec", "always[0,29] (gap >= 9.0)"]  # fmt: skip
 
 
 def record(tmp_path, capsys, *words):

@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 HIGHWAY = ROOT / "examples" / "highway_three_cars.py"
 RANDOM_START = ROOT / "examples" / "random_start.py"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+LONG = {HIGHWAY, RANDOM_START, ROOT / "examples" / "dirty_lens.py"}
+"""They take ten seconds and more as they stand."""
 LONGEST = {HIGHWAY: 70, ROOT / "examples" / "tracker.py": 70, RANDOM_START: 70}
 """Lines, of those that have a reason; others stay below 60."""
 SPEC = "always[0,60] (distance >= 0.3)"
@@ -61,7 +63,7 @@ def test_is_short(path):
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p == HIGHWAY), id=p.stem) for p in EXAMPLES],
+    [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG), id=p.stem) for p in EXAMPLES],
 )
 def test_runs(path, capsys):
     """One in a process of its own, as a user runs them; the others share what is imported here."""
@@ -80,6 +82,22 @@ def test_runs(path, capsys):
         assert words in printed
     assert "do not quote" not in printed
     assert "too heavy" not in printed
+
+
+@pytest.mark.parametrize("path", sorted(LONG - {HIGHWAY}), ids=lambda p: p.stem)
+def test_runs_with_fewer_rollouts(path, monkeypatch, capsys):
+    """All that it does; what its answers are worth is told of it as it stands."""
+    build = pemviz.build_experiment
+
+    def small(config, **parts):
+        few = {"rollouts": 60, "stages": 4, "final_rollouts": 60, "plan": False}
+        return build(dataclasses.replace(config, **few, measured_memory=False), **parts)
+
+    monkeypatch.setattr(pemviz, "build_experiment", small)
+    runpy.run_path(str(path), run_name="__main__")
+    printed = capsys.readouterr().out
+    assert printed.count("Failure probability in one run: ") == 2
+    assert printed.count("least robust rollout: violates") == 2
 
 
 def test_mixture_agrees_with_plain_monte_carlo(drone):

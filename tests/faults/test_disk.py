@@ -18,10 +18,11 @@ CONFIG = """\
 method = "mixture"
 stages = 2
 rollouts = 40
-final_rollouts = 500
+final_rollouts = 200
 measured_memory = false
+plan = false
 """
-LARGEST_FILE = 600_000  # a stage of 40 rollouts takes 0.2 MB, the final one 2.6 MB
+LARGEST_FILE = 600_000  # a stage of 40 rollouts takes 0.2 MB, the final one 1 MB
 
 
 def record(*words, full=False):

@@ -23,20 +23,22 @@ SAMPLING = "uncertainty = 'sampling'"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return make_run(tmp_path_factory.mktemp("made") / "run", COUNTED)
+    """A folder with a run, a budget that is met by it, and both arguments."""
+    folder = tmp_path_factory.mktemp("made")
+    make_run(folder / "run", COUNTED)
+    budget = write_budget(
+        folder / "budget.toml", hazard(runs=("run",), extra=SAMPLING), hazard(name="other"),
+        accepted=1.0,
+    )  # fmt: skip
+    argument = folder / "case.gsn.yaml"
+    assert main(["report", "--budget", str(budget), "--gsn", str(argument)]) == 0
+    return folder
 
 
 @pytest.fixture
 def case(made, tmp_path):
-    """A folder with a run, a budget that is met by it, and both arguments."""
-    shutil.copytree(made, tmp_path / "run")
-    budget = write_budget(
-        tmp_path / "budget.toml", hazard(runs=("run",), extra=SAMPLING), hazard(name="other"),
-        accepted=1.0,
-    )  # fmt: skip
-    argument = tmp_path / "case.gsn.yaml"
-    assert main(["report", "--budget", str(budget), "--gsn", str(argument)]) == 0
-    return tmp_path
+    """A copy that may be changed."""
+    return shutil.copytree(made, tmp_path, dirs_exist_ok=True)
 
 
 def check(folder, *words):

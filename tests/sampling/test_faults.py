@@ -164,8 +164,9 @@ def at_once(function, *arguments):
     return future
 
 
-def test_rollouts_are_counted_from_the_first_of_the_stage():
+def test_rollouts_are_counted_from_the_first_of_the_stage(monkeypatch):
     """Only the second batch has so few rollouts."""
+    monkeypatch.setattr("pemviz.sampling.rollouts.pooled.PIECE_S", 1e9)  # however busy
 
     class Late(Raises):
         def step(self, states, detected):
@@ -219,13 +220,13 @@ class Places:
 )
 @pytest.mark.parametrize("beside", [1, 3])
 def test_an_environment_that_fails_names_the_very_rollout(outcome, words, beside):
-    """Rollout 700 is place 1 of 3 in the 234th reset of each, or the 701st of the one."""
+    """Rollout 100 is place 1 of 3 in the 34th reset of each, or the 101st of the one."""
     made = [Places(10_000, 30) for _ in range(beside)]
-    made[700 % beside] = Places(700 // beside, 30, outcome)
+    made[100 % beside] = Places(100 // beside, 30, outcome)
     simulator = side_by_side(made)
-    problem = replace(problem_of(None), simulator=simulator, batch_rollouts=510)
-    with pytest.raises(SimulationError, match=words.format("rollout 700")):
-        draw(problem, count=800)
+    problem = replace(problem_of(None), simulator=simulator, batch_rollouts=60)
+    with pytest.raises(SimulationError, match=words.format("rollout 100")):
+        draw(problem, count=140)
 
 
 @pytest.mark.parametrize(("rows", "shape"), [(slice(1), "1,"), (0, ""), (slice(3), "3,")])

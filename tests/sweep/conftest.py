@@ -14,6 +14,7 @@ stages = 2
 rollouts = 20
 final_rollouts = 20
 measured_memory = false
+plan = false
 epochs = 20
 seed = 3
 """

@@ -111,7 +111,7 @@ def test_what_is_not_known_is_compared_with_nothing(fault):
 def test_a_sweep_of_trackers_tells_what_is_not_dominated(tmp_path, capsys):
     config = tmp_path / "near.toml"
     config.write_text(
-        "method = 'monte-carlo'\nfinal_rollouts = 300\nmeasured_memory = false\n"
+        "method = 'monte-carlo'\nfinal_rollouts = 300\nmeasured_memory = false\nplan = false\n"
         "[scenario]\ninitial_gap_m = 4.0\n"
         "[rules]\ncontact = 'always[0,99] (gap >= 0.0)'\nslow = 'always[0,99] (ego_speed >= 0.5)'\n"
     )
