@@ -30,6 +30,7 @@ extensions = [
     "commands",
     "settings",
     "result_fields",
+    "pages",
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",

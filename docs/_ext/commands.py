@@ -1,6 +1,6 @@
 """Pages of commands, made from the dataclasses that their arguments are parsed into.
 
-``{pemviz-command}`` takes what is typed behind ``pemviz`` and writes the command's summary, what
+A block ``{pemviz-command}`` holds what is typed behind ``pemviz``; in its place stand what
 ``--help`` prints, and every option with what it takes, its default and what it does, each with an
 anchor and an entry in the index. A command without a page is a warning, and so an error.
 """
@@ -22,6 +22,7 @@ from pemviz.cli.pem.command import ACTIONS
 
 LOGGER = logging.getLogger(__name__)
 FOLDER = "reference/command-line"
+BLOCK = re.compile(r"^```\{pemviz-command\}\n([\w -]+)\n```$", re.MULTILINE)
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|$~])")
 OPTION = re.compile(r"(?<![\w-])(--[a-z][\w.-]*\w)")
 QUOTED = re.compile(r"'(pemviz [^']*)'")
@@ -102,16 +103,15 @@ def command_text(command: str) -> str:
     return "\n".join(parts)
 
 
-class Command(SphinxDirective):
-    """Writes the page of the command that its content names."""
+def write_pages(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put a command's page in place of the block that names it, before anything is parsed."""
 
-    has_content = True
+    def written(block: re.Match[str]) -> str:
+        app.env.note_dependency(import_module(kinds()[block[1]].__module__).__file__ or "")
+        return command_text(block[1])
 
-    def run(self) -> list[nodes.Node]:
-        """The page's nodes."""
-        command = " ".join(self.content).strip()
-        self.env.note_dependency(import_module(kinds()[command].__module__).__file__ or "")
-        return self.parse_text_to_nodes(command_text(command), allow_section_headings=True)
+    if docname.startswith(FOLDER):
+        source[0] = BLOCK.sub(written, source[0])
 
 
 class Commands(SphinxDirective):
@@ -135,7 +135,7 @@ def complain_of_missing_pages(app: Sphinx) -> None:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Let pages use the directives."""
-    app.add_directive("pemviz-command", Command)
+    app.connect("source-read", write_pages)
     app.add_directive("pemviz-commands", Commands)
     app.connect("builder-inited", complain_of_missing_pages)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

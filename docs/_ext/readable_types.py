@@ -9,6 +9,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import sphinx.util.inspect
 import sphinx.util.typing
+from docutils import nodes
 from sphinx.application import Sphinx
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Rows
@@ -51,8 +52,17 @@ def signature_text(*event: Any) -> tuple[str, str] | None:
     return MODULES.sub("", plain), returned
 
 
+def with_dashes(app: Sphinx, page: nodes.document) -> None:
+    """A dash between a parameter and what it is, which Sphinx writes as two hyphens."""
+    del app
+    for text in list(page.findall(nodes.Text)):
+        if text.astext() == " -- ":
+            text.parent.replace(text, nodes.Text(": "))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Tidy signatures."""
     app.setup_extension("sphinx.ext.autodoc")
     app.connect("autodoc-process-signature", signature_text)
+    app.connect("doctree-read", with_dashes)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,17 +1,16 @@
 """Tables of what ``result.json`` holds, made from its schema.
 
-``{pemviz-result}`` writes a section with a table for the document and for each type in it.
+In place of a block ``{pemviz-result}`` stands a table for the document and for each type in it.
 """
 
 from typing import Any
 
 from commands import markdown
-from docutils import nodes
 from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 from pemviz.runs.result_schema import result_schema
 
+BLOCK = "```{pemviz-result}\n```\n"
 ELSEWHERE = ("ExperimentConfig", "ScenarioConfig", "EncounterConfig", "SumoConfig")
 """Types that the page of settings has."""
 
@@ -60,23 +59,25 @@ def table_of(schema: dict[str, Any]) -> str:
     return "\n".join(["| field | type | what |", "|---|---|---|", *rows, ""])
 
 
-class Result(SphinxDirective):
-    """Writes the tables."""
+def result_text() -> str:
+    """All tables as Markdown."""
+    schema = result_schema()
+    parts = [table_of(schema)]
+    for name, kind in schema["$defs"].items():
+        if name not in ELSEWHERE:
+            head = f"(result-{name.lower()})=\n### {name}\n\n{markdown(kind['description'])}\n\n"
+            parts.append(head + table_of(kind))
+    return "\n".join(parts)
 
-    def run(self) -> list[nodes.Node]:
-        """Their nodes."""
-        schema = result_schema()
-        parts = [table_of(schema)]
-        for name, kind in schema["$defs"].items():
-            if name not in ELSEWHERE:
-                head = (
-                    f"(result-{name.lower()})=\n### {name}\n\n{markdown(kind['description'])}\n\n"
-                )
-                parts.append(head + table_of(kind))
-        return self.parse_text_to_nodes("\n".join(parts), allow_section_headings=True)
+
+def write_tables(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the tables in place of the block, before anything is parsed."""
+    del app
+    if docname.startswith("reference/"):
+        source[0] = source[0].replace(BLOCK, result_text())
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Let pages use the directive."""
-    app.add_directive("pemviz-result", Result)
+    """Let pages have the tables."""
+    app.connect("source-read", write_tables)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
