@@ -28,7 +28,7 @@ def test_the_whole_runs_are_what_the_command_takes(options):
 
 
 def test_whole_runs_are_timed_beside_those_without_numba(capsys, monkeypatch):
-    short = "--no-recording --method monte-carlo --final-rollouts 10"
+    short = "--no-recording --method monte-carlo --final-rollouts 10 --no-plan --no-measured-memory"
     monkeypatch.setattr("benchmarks.whole_runs.WHOLE_RUNS", (short,))
     assert main(["runs", "--times", "1", "--without-numba", "--json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]

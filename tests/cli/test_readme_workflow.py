@@ -18,7 +18,10 @@ yaml = pytest.importorskip("yaml", reason="pyyaml is among the test extras")
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-QUICK = "--method monte-carlo --final-rollouts 200 --fail-above 0.5 --no-recording"
+QUICK = (
+    "--method monte-carlo --final-rollouts 200 --fail-above 0.5 --no-recording --no-plan "
+    "--no-measured-memory"
+)
 
 
 @pytest.fixture(scope="module")

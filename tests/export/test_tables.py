@@ -37,7 +37,7 @@ def read_csv(content):
     ids=lambda changes: changes["method"],
 )
 def test_ranks_are_those_of_the_result(changes, tmp_path):
-    config = replace(test_rules.CONFIG, **changes)
+    config = replace(test_rules.CONFIG, plan=False, **changes)
     result = carry_out(test_rules.experiment_of(config), tmp_path)
     table = load_rollouts(tmp_path)
     order = ranked_rows(table, result.stages)
