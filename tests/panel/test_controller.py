@@ -128,8 +128,9 @@ def test_version_grows_with_every_change(controller):
 def test_processes_simulate_what_is_slow_to_the_same_result(tmp_path):
     """And nothing where they are of no use."""
     slow = replace(
-        NAIVE, simulator="highway-env", measured_memory=False, plan=False, final_rollouts=24
-    )
+        NAIVE, simulator="highway-env", measured_memory=False, plan=False, final_rollouts=24,
+        scenario=replace(NAIVE.scenario, states=50), spec="always[0,49] (gap >= 2.0)",
+    )  # fmt: skip
     results, told = [], set()
     for workers in (None, 2):
         folder = tmp_path / str(workers)

@@ -206,10 +206,9 @@ def test_two_sides_of_random_starts_and_noise_are_both_found():
     exact = 2.0 * stats.norm.sf(4.5)
     last = drift.states - 1
     spec = f"eventually[{last},{last}] (distance <= {limit!r} and distance >= {-limit!r})"
-    for seed in range(2):
-        config = ExperimentConfig(method="auto", spec=spec, seed=seed)
-        found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
-        assert found.probability == pytest.approx(exact, rel=0.5)
+    config = ExperimentConfig(method="auto", spec=spec, seed=0, measured_memory=False)
+    found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
+    assert found.probability == pytest.approx(exact, rel=0.5)
 
 
 def test_an_answer_that_plain_rollouts_contradict_is_told():

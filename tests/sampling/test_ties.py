@@ -96,7 +96,7 @@ SAMPLED = {
     "monte-carlo": {"final_rollouts": 20_000},
     "naive": {"final_rollouts": 20_000},
     "mixture": {"rollouts": 200, "final_rollouts": 400},
-    "splitting": {"rollouts": 200, "repetitions": 4},  # of five runs each
+    "splitting": {"rollouts": 100, "repetitions": 4},  # of five runs each
     "subset": {"rollouts": 500},
 }
 LEARNING = ("mixture", "splitting", "subset")

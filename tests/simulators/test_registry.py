@@ -146,7 +146,7 @@ def test_record_carries_out_a_registered_simulator(tmp_path, capsys):
     words = ["--simulator", "faster", "--method", "mixture", "--stages", "2", "--rollouts", "60"]
     out = ["--final-rollouts", "60", "--seed", "3", "--out", str(tmp_path / "runs")]
     page = tmp_path / "page.md"
-    assert main(["record", *words, *out, "--json", "--summary", str(page)]) == 0
+    assert main(["record", *words, *out, "--json", "--summary", str(page), "--no-frames"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["config"]["simulator"] == "faster"
     assert document["estimate"]["failures"] > 0
