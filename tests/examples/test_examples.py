@@ -120,11 +120,19 @@ def test_rare_setting_three_ways(drone):
     assert splitting.ci_low < truth.probability < splitting.ci_high
 
 
-def test_the_readme_shows_the_example_as_it_is():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_page_on_own_simulators_shows_the_example_as_it_is():
+    page = (ROOT / "docs" / "how-to" / "your-simulator.md").read_text(encoding="utf-8")
     mark = "<!-- tested: excerpt of examples/own_system.py -->\n```python\n"
-    excerpt = readme.split(mark)[1].split("```")[0]
+    excerpt = page.split(mark)[1].split("```")[0]
     assert excerpt in (ROOT / "examples" / "own_system.py").read_text(encoding="utf-8")
+
+
+def test_the_readmes_program_prints_what_the_readme_says(capsys):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    program = readme.split("```python\n")[1].split("```")[0]
+    printed = readme.split("```python\n")[1].split("```\n")[2]
+    exec(compile(program, "README.md", "exec"), {})  # noqa: S102
+    assert capsys.readouterr().out == printed
 
 
 def parts_of(path, monkeypatch):

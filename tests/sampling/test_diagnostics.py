@@ -203,11 +203,12 @@ def test_limits_themselves_are_allowed(figures, kind):
     assert found.value != found.limit
 
 
-def test_limits_are_those_of_the_literature_and_of_the_readme():
-    readme = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+def test_limits_are_those_of_the_literature_and_of_the_page_on_uncertainty():
+    page = (PACKAGE.parent / "docs" / "explanation" / "uncertainty.md").read_text(encoding="utf-8")
     assert (RELIABLE_PARETO_K, SMALL_ESS, LARGE_SHARE, FEW_FAILURES) == (0.7, 10.0, 0.2, 10)
-    assert f"(below {SMALL_ESS:g}: do not quote it)" in readme
-    assert f"*Pareto k-hat* above {RELIABLE_PARETO_K:g}" in readme
+    assert f"below {SMALL_ESS:g}, a few weights carry the estimate: do not quote it" in page
+    assert f"| above {RELIABLE_PARETO_K:g} the weights' tail is too heavy" in page
+    assert f"one rollout carries over {LARGE_SHARE:.0%}".replace("%", " %") in page
 
 
 def test_a_count_is_reliable_however_few_were_counted(toy_problem):

@@ -1,4 +1,4 @@
-"""The README's workflow: valid YAML, and its pemviz steps parse and run."""
+"""The workflow in the page on pipelines: valid YAML, and its pemviz steps parse and run."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from pemviz.runs.experiment import build_experiment
 yaml = pytest.importorskip("yaml", reason="pyyaml is among the test extras")
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "pipeline.md").read_text(encoding="utf-8")
 QUICK = (
     "--method monte-carlo --final-rollouts 200 --fail-above 0.5 --no-recording --no-plan "
     "--no-measured-memory"
@@ -26,7 +26,7 @@ QUICK = (
 
 @pytest.fixture(scope="module")
 def workflow():
-    blocks = re.findall(r"<!-- tested: workflow -->\n```yaml\n(.*?)```", README, flags=re.DOTALL)
+    blocks = re.findall(r"<!-- tested: workflow -->\n```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
     assert len(blocks) == 1
     return yaml.safe_load(blocks[0])
 
