@@ -225,7 +225,7 @@ def message_of(error: BaseException) -> str:
     try:
         return " ".join(str(error).split())
     except BaseException:  # theirs, as all of it
-        return "its message cannot be told"
+        return "its message cannot be shown"
 
 
 def traceback_of(error: BaseException) -> str:
@@ -238,7 +238,7 @@ def traceback_of(error: BaseException) -> str:
         found = traceback.TracebackException(type(error), error, theirs)
         lines = "".join(found.format()).splitlines()
     except BaseException:  # theirs, as all of it
-        return "its traceback cannot be told"
+        return "its traceback cannot be shown"
     if len(lines) > LONGEST_TRACEBACK:
         half = LONGEST_TRACEBACK // 2
         lines = [*lines[:half], f"  ... {len(lines) - 2 * half} lines ...", *lines[-half:]]

@@ -46,7 +46,7 @@ METHOD = pytest.mark.parametrize("method", METHODS.names())
 DOUBT = re.compile(r"not\s+a\s+95\s+%\s+(interval|bound)")
 CLAIM = re.compile(r"(?<!not a )95\s+%\s+(interval|upper\s+bound|bound)")
 WRONG = Diagnostic(
-    "not-absorbing", None, None, "nothing tells during a rollout whether it has violated"
+    "not-absorbing", None, None, "nothing says during a rollout whether it has violated"
 )
 """What makes an interval unreliable whatever it rests on."""
 

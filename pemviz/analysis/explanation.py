@@ -182,7 +182,7 @@ def explain(
             edges=edges,
             target=target,
             likelihood=remembered,
-            unknown_because=f"not told with {' and '.join(labels)}" if labels else None,
+            unknown_because=f"not available with {' and '.join(labels)}" if labels else None,
         ),
         memory=memory,
         bursts=causes.bursts_of(

@@ -378,7 +378,7 @@ def extrapolation_warnings(
     if support is None:
         return (
             f"error model {pem.name}: carries no counts of its training data, so where it "
-            "extrapolates cannot be told",
+            "extrapolates is not known",
         )
     checked = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
     salient = simulator.salient(checked.decision_states().signals)

@@ -309,7 +309,7 @@ class _Assessment:
             self._command("pem", "fit", *common, "--folds", "0", *seeded, "--out", own)
         _note(
             "how far refits of the model differ is left out, as no ensemble is fitted here: "
-            "pemviz pem fit --members 20, before the other, tells"
+            "pemviz pem fit --members 20, before the other, shows it"
         )
         return ["--pem", own]
 

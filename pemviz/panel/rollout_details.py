@@ -63,7 +63,7 @@ def _start_words(run: RunData, latents: Latents) -> str:
     named = within(run.simulator, NamesStarts)
     if named is None:
         mean = latents.start_mean[0]
-        around = f", drawn around {_listed(mean)}" if np.any(mean) else ""
+        around = f", sampled around {_listed(mean)}" if np.any(mean) else ""
         return f"Standard normals at its start: {_listed(latents.start[0])}{around}."
     values = named.start_values(latents.start)
     words = [

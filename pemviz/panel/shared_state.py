@@ -47,7 +47,7 @@ def _progress_text(progress: Progress) -> str:
     if progress.by_level:
         words += f": {progress.share:.0%} of the way to violations"
     elif progress.goes_on:
-        words += f": {progress.done:,} rollouts, until the interval is as narrow as asked"
+        words += f": {progress.done:,} rollouts, until the interval is as narrow as requested"
     else:
         words += f": {progress.done:,} of {progress.planned:,} rollouts"
     words += f" {progress.workers}" if progress.workers else ""

@@ -82,7 +82,7 @@ def _weights(run: RunData) -> str:
     index = run.memo.get("drawn points", lambda: drawn_points(run))
     words = (
         "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
-        "drawn; the larger, the more it contributes to the answer. Click a point: that rollout "
+        "sampled; the larger, the more it contributes to the answer. Click a point: that rollout "
         "shows in the scene."
     )
     if index.size < run.simulated:
@@ -243,19 +243,19 @@ def _nearest(run: RunData) -> tuple[object, Scan[FloatArray]]:
 def _least_gaps(run: RunData) -> str:
     """How likely the least gap is below a value: under the error model, and as drawn."""
     if run.distance is None:
-        return quiet("No signal of the scenario tells how near the cars come.")
+        return quiet("No signal of the scenario says how near the cars come.")
     gaps = least_gaps(run)
     if gaps is None:
         return quiet("No rollouts that the answer rests on yet.")
     weighted = bool(gaps.log10_probability.size)
     words = (
-        "The share of rollouts that come nearer than a gap. As drawn: under the proposal, which "
+        "The share of rollouts that come nearer than a gap. As sampled: under the proposal, which "
         "looks for violations."
     )
     if weighted:
         words += (
             " Under the error model: every rollout with its weight, so how likely it is in truth; "
-            "towards 1 it is rough, for common rollouts are hardly drawn."
+            "towards 1 it is rough, for common rollouts are hardly sampled."
         )
     if run.kept < run.simulated:
         words += f" From the {run.kept:,} of {run.simulated:,} rollouts that are kept here."
@@ -267,7 +267,7 @@ def gap_chart(run: RunData, gaps: LeastGaps) -> PlaneChart:
     assert run.distance is not None  # noqa: S101  gaps are of it
     size = gaps.gap_m.size
     kept = np.unique(np.linspace(0, size - 1, min(size, MOST_POINTS)).round().astype(np.int64))
-    gap_m, entries = gaps.gap_m[kept], [("as drawn", GREY, "5 3", gaps.sampled)]
+    gap_m, entries = gaps.gap_m[kept], [("as sampled", GREY, "5 3", gaps.sampled)]
     if gaps.log10_probability.size:
         probability = np.minimum(10.0**gaps.log10_probability, 1.0)
         entries.append(("under the error model", BLUE, "", probability))

@@ -35,7 +35,7 @@ NEXT_LINE = "\\\n"
 """Without a gap, for which a strip has no room."""
 READ_ON = (
     "## How to read on\n"
-    "- **Scene**, where the scenario tells where its cars are: the least robust rollouts, every "
+    "- **Scene**, where the scenario says where its cars are: the least robust rollouts, every "
     "rank from above in a tab of its own; press play to watch them.\n"
     "- **Worst case**: what was random in them, and how they rank.\n"
     "- **Learning**: how the proposal came about, stage by stage.\n"
@@ -47,11 +47,11 @@ READ_ON = (
 )
 SCENE_TEXT = (
     "On the roads the ego's centre stays at 0 m. A line around a car, in 3D a mark over it, "
-    "tells what perception reports of it at the step: blue detected, orange missed (with a cross "
+    "shows what perception reports of it at the step: blue detected, orange missed (with a cross "
     "from above; larger in 3D), none or grey where there is nothing to report. Outlines, white "
     "from above and grey in 3D, and ellipses of two standard deviations: where the controller "
     "tracks a car. Green: how near a car must be for a detection to brake hard, where the scenario "
-    "tells. Grey cars: contact."
+    "says so. Grey cars: contact."
 )
 
 
@@ -124,7 +124,7 @@ def stage_table(rows: Sequence[StageFigures], *, robustness_unit: str) -> str:
     )
     note = (
         "Each stage's own estimate. Threshold: rollouts at or below it are learned from; so many "
-        "are. ESS: how many equally weighted violations the estimate is worth. An interval in "
+        "are. ESS: how many equally weighted violations it amounts to. An interval in "
         "brackets is not a 95 % interval; why stands below.\n\n"
     )
     doubts = [f"- stage {row.stage}: {'; '.join(row.caveats)}" for row in rows if row.caveats]

@@ -88,7 +88,7 @@ def rate_line(result: RunResult) -> str:
         return ""
     if result.driven is None:
         given = f"With {result.config.encounters_per_hour:g} encounters an hour"
-        sampled = ", as the scenario draws them"
+        sampled = ", as the scenario samples them"
     else:
         given, sampled = f"With {result.driven.mean_km:.3g} km a rollout", ""
     caveats = run_interval_caveats(result)

@@ -234,7 +234,7 @@ def chain_table(chains: Sequence[Chain], *, dt_s: float) -> Table | None:
         tuple(rows),
         name="Likeliest chains of misses",
         note=f"The chains shown make up {listed} of the estimated probability. Only misses at "
-        "steps where the outcome matters are told.",
+        "steps where the outcome matters are listed.",
         numbers=(0, 1),
         places=tuple(range(1, len(rows) + 1)),
         target="chain",
@@ -245,12 +245,12 @@ def starts_line(found: DangerousStarts) -> str:
     """Where violations start and all starts do not, in a sentence."""
     if not all(one.violations for one in found.values):
         return (
-            f"Which starts are dangerous cannot be told from {found.effective:.2g} effective "
+            f"Which starts are dangerous is not known from {found.effective:.2g} effective "
             f"violations; {FEWEST:g} are needed"
         )
     shifted = found.shifted()[:SHIFTED_STARTS]
     if not shifted:
-        return f"Violations start as all do, as far as {found.effective:.2g} effective ones tell"
+        return f"Violations start as all do, as far as {found.effective:.2g} effective ones show"
     return f"Violations start with {'; '.join(map(_against, shifted))}"
 
 
@@ -290,8 +290,8 @@ def starts_table(found: DangerousStarts) -> Table:
         rows.append((name, *of_all, *own))
     whose = "" if found.rule is None else f" of rule {found.rule}"
     title = (
-        f"{found.violations:,} violations{whose}, worth {found.effective:.3g} equally likely ones "
-        "with different starts"
+        f"{found.violations:,} violations{whose}, as good as {found.effective:.3g} equally likely "
+        "ones with different starts"
     )
     return Table(columns, tuple(rows), name=title)
 
@@ -300,7 +300,7 @@ def map_words(found: DangerousStarts) -> str:
     """What the picture of the plane shows, and how far it can be trusted."""
     plane = found.plane
     if plane is None:
-        return f"The plane of two start values is drawn from {FEWEST_OF_MAP:g} effective ones on."
+        return f"The plane of two start values takes {FEWEST_OF_MAP:g} effective violations."
     units = {one.name: one.unit for one in found.values}
     reach = " and ".join(
         f"{end_text(width)} {units[name]}".strip()
@@ -309,7 +309,7 @@ def map_words(found: DangerousStarts) -> str:
     average = end_text(10.0**found.log10_probability)
     return (
         f"P(violation) for encounters that start there, {average} on average over all starts. "
-        f"Averaged over starts within {reach} of it, the nearest most, and told only where "
+        f"Averaged over starts within {reach} of it, the nearest most, and shown only where "
         f"{FEWEST:g} effective violations lie there, so that its standard error is below a third; "
         "grey: not known, and rarer as a rule. The box holds 80 % of all starts each way."
     )

@@ -196,7 +196,7 @@ def starts_chart(found: DangerousStarts) -> PlaneChart | None:
         np.array([one.across for one in found.points]),
         np.array([one.up for one in found.points]),
         BLACK,
-        label="a violation drawn",
+        label="a sampled violation",
         radius=1.7,
         tips=tuple(
             f"stage {one.stage}, rollout {one.rollout}: {plane.across} {one.across:.4g}, "

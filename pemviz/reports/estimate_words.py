@@ -143,7 +143,7 @@ def chosen_text(result: RunResult) -> str | None:
     """Why a method that goes on chose what it did, and how far it came; ``None`` of others.
 
     For instance '0 of the first 240 plain rollouts violate, which alone puts it below 0.012; the
-    interval is +- 9.8 %, 20 % were asked for'.
+    interval is +- 9.8 %, 20 % were requested'.
     """
     config, estimate = result.config, result.estimate
     most = by_name(config.method).most
@@ -160,7 +160,7 @@ def chosen_text(result: RunResult) -> str | None:
     words = (
         f"{first.failures} of the first {first.rollouts} plain rollouts violate{alone}; "
         f"{reached if math.isfinite(half) else 'no interval'}, {100.0 * config.precision:.3g} % "
-        "were asked for"
+        "were requested"
     )
     if half <= config.precision:
         return words
@@ -172,7 +172,7 @@ def chosen_text(result: RunResult) -> str | None:
 
 def missing_more_text(estimate: Estimate) -> str:
     """Why so many rollouts violate, where they were sampled from another distribution."""
-    return ", drawn to miss more often," if rests_on_weights(estimate.method) else ""
+    return ", sampled to miss more often," if rests_on_weights(estimate.method) else ""
 
 
 def model_range_text(interval: ModelInterval | None) -> str:

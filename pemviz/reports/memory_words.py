@@ -22,8 +22,8 @@ from pemviz.sampling.bursts.curve import (
 
 MEMORY_TITLE = "Misses that follow each other"
 NOT_LOOKED_AT = (
-    "What the assumption on how misses follow each other is worth was not looked at in this run: "
-    "pemviz record --memory-curve tells. On video misses come in bursts."
+    "How far the assumption on how misses follow each other changes the answer was not looked at "
+    "in this run: pemviz record --memory-curve does. On video misses come in bursts."
 )
 IN_IT = "(in which the correlation of outcomes falls to 37 %)"
 """What a memory time is, in brackets beside one."""
@@ -35,7 +35,7 @@ FITTED_TOGETHER = (
     "Memory time and frailty were fitted together. Where all obstacles are taken as equal a memory "
     f"time is longer ({TWO_TIMES}): then it stands for both."
 )
-ALL_ALIKE = f"all obstacles taken as alike; {TWO_TIMES} beside a frailty"
+ALL_ALIKE = f"all obstacles taken as equal; {TWO_TIMES} beside a frailty"
 """Why a time that was measured is another one here than in the answer."""
 SAME = 0.01
 """What differs by less from the error model's own measured place is that of the same detector."""
@@ -73,7 +73,7 @@ BY_MEMORY_TIME = CurveAxis(
     title="If misses come in bursts, by memory time",
     note="Memory time: in it the correlation of one outcome with a later one falls to 37 %. The "
     "longer, the longer bursts of misses; how often it misses is about as before. Where the "
-    f"frailty is 0, those measured on video are for obstacles that are all alike: {TWO_TIMES}, as "
+    f"frailty is 0, those measured on video are for obstacles that are all equal: {TWO_TIMES}, as "
     "fitted beside a frailty.",
     shown=(0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
     measured=lambda memory: measured_s(memory.frailty),
@@ -84,10 +84,10 @@ BY_MEMORY_TIME = CurveAxis(
 )
 BY_FRAILTY = CurveAxis(
     head="frailty",
-    none="all alike",
+    none="all equal",
     unit="",
     title="If some obstacles are harder to see all along, by frailty",
-    note="Frailty: how much obstacles differ in being missed beyond what the state tells, each "
+    note="Frailty: how much obstacles differ in being missed beyond what the state explains, each "
     "all along; how often it misses is as before. On video it was fitted beside a memory time.",
     shown=(0.0, 0.1, 0.2, 0.3, 0.5, 1.0),
     measured=lambda _: MEASURED_FRAILTY,
@@ -183,9 +183,9 @@ def frailty_line(memory: RunMemory | None) -> str | None:
     if memory is None or not memory.frailty_curve:
         return None
     equal = _by_place(memory, BY_FRAILTY)[0.0].probability
-    assumed = f"a frailty of {memory.frailty:.3g}: {equal:.1g} if obstacles are alike (0)"
+    assumed = f"a frailty of {memory.frailty:.3g}: {equal:.1g} if obstacles are equal (0)"
     if memory.frailty == 0.0:
-        assumed = f"that obstacles in the same state are alike (frailty 0): {equal:.1g} if they are"
+        assumed = f"that obstacles in the same state are equal (frailty 0): {equal:.1g} if they are"
     assumptions = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
     return f"So is {assumptions}.{_worth(memory, BY_FRAILTY)}"
 
@@ -219,7 +219,9 @@ def _worth(memory: RunMemory, axis: CurveAxis) -> str:
     if none <= 0.0 or not reached or max(reached) <= none:
         return ""
     orders = math.log10(max(reached) / none)
-    return f" The assumption is worth {orders:.0f} orders of magnitude." if orders >= 1.0 else ""
+    if orders < 1.0:
+        return ""
+    return f" The assumption changes the answer by {orders:.0f} orders of magnitude."
 
 
 def memory_text(memory: RunMemory | None) -> str:
@@ -227,7 +229,7 @@ def memory_text(memory: RunMemory | None) -> str:
     if memory is None or memory.is_independent:
         assumed = "independent of each other given the state: an assumption"
         if memory is None or not (memory.curve or memory.measured):
-            assumed += ", and --memory-curve tells what it is worth"
+            assumed += ", and --memory-curve shows what it changes"
     else:
         parts = [f"memory time {memory.tau_s:.3g} s {IN_IT}"] if memory.tau_s else []
         parts += [f"frailty {memory.frailty:.3g} ({FRAILTY_MEANS})"] if memory.frailty else []

@@ -341,7 +341,7 @@ def _causes(result: RunResult) -> Section:
     """Where misses lie before a violation, how they hang together, and the likeliest chains."""
     title, explanation = "Misses that cause it", result.explanation
     if explanation is None:
-        none = "No weighted violation was seen that tells where misses matter."
+        none = "No weighted violation was seen that shows where misses matter."
         return Section("causes", title, (), (Paragraph(none),))
     target = result.config.target
     line = Paragraph(causes_words.causes_line(explanation))
@@ -362,13 +362,13 @@ def _robustness(result: RunResult) -> Section:
     title, found = "Robustness under the error model", result.robustness_tail
     if found is None:
         words = (
-            "Not told: too few of the rollouts show what usually happens; plain rollouts "
+            "Not known: too few of the rollouts show what usually happens; plain rollouts "
             "(--method monte-carlo) do."
         )
         return Section("robustness", title, (), (_quiet(words),))
     unit = "" if result.config.metric == "agm" else " m"
     expected = f"{found.expected:.4g}{unit} +- {found.expected_std_error:.1g}"
-    worst, quantile = "not known: too few were drawn", "not known"
+    worst, quantile = "not known: too few were sampled", "not known"
     if found.worst is not None and found.worst_std_error is not None:
         worst = f"{found.worst:.4g}{unit} +- {found.worst_std_error:.1g}"
         quantile = f"{found.quantile:.4g}{unit}"
@@ -396,7 +396,7 @@ def _warnings(result: RunResult) -> Section:
     kinds = Counter(text.partition(":")[0] if ":" in text[:40] else "others" for text in others)
     kinds["more about the answer"] = len(grave) - len(shown)
     named = [f"{kind} ({count})" if count > 1 else kind for kind, count in kinds.items() if count]
-    brief = [*shown, *([f"{', '.join(named)}; --verbose tells each"] if named else [])]
+    brief = [*shown, *([f"{', '.join(named)}; --verbose lists each"] if named else [])]
     full = tuple(map(Caution, about_answer))
     fine = (doc.Verdict("yes", "The diagnostics of the sampling give no warning."),)
     return Section("warnings", "Warnings", tuple(map(Caution, brief)), full or fine)
@@ -423,7 +423,7 @@ def _question(result: RunResult) -> Section:
     ]
     if chosen := estimates.chosen_text(result):
         rows.insert(4, ("chosen, as", chosen))
-    return Section("question", "What was asked", (), (doc.facts(rows),))
+    return Section("question", "What was requested", (), (doc.facts(rows),))
 
 
 def _worst(result: RunResult) -> Section | None:

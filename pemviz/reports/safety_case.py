@@ -164,7 +164,7 @@ def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
             + _picture(argument_of_runs([run], below=below)),
         ),
         ("Evidence", "".join(evidence)),
-        ("Assumptions, and what each is worth", html.blocks_html([_assumptions(result)])),
+        ("Assumptions, and what each changes", html.blocks_html([_assumptions(result)])),
         ("What to measure next", html.blocks_html(document.blocks("plan") or no_plan)),
         ("Data and model", html.blocks_html(_data_and_model(run))),
         ("Provenance, and how to reproduce it", html.blocks_html(_reproduce(run, document))),
@@ -224,7 +224,7 @@ def _sampling_step(result: RunResult) -> str:
             "violate; the interval is the exact binomial one: E1."
         )
     return (
-        f"Violations are far too rare to wait for: method {method} draws rollouts in which "
+        f"Violations are far too rare to wait for: method {method} samples rollouts in which "
         "they are common and weights each by how much likelier it is under the error model. "
         "Whether the weights can be trusted: E1."
     )
@@ -270,7 +270,7 @@ def _violations(run: CaseRun) -> tuple[Block, ...]:
 def _assumptions(result: RunResult) -> Table:
     """Every assumption, and by how much the answer changes if it is given up."""
     rows = tuple(_assumption_row(text, result) for text in result.assumptions)
-    return Table(("assumed", "what it is worth", "what would narrow it"), rows)
+    return Table(("assumed", "what it changes", "what would narrow it"), rows)
 
 
 def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
@@ -281,7 +281,7 @@ def _assumption_row(text: str, result: RunResult) -> tuple[str, str, str]:
         kinds = ("refits", "model-classes", "data")
     sources = [source for source in uncertainty_budget(result) if source.kind in kinds]
     if not sources:
-        return text, "not told by this run", "Not quantified here; to be argued from elsewhere."
+        return text, "not known from this run", "Not quantified here; to be argued from elsewhere."
     worth = [
         f"{one.name}: {range_text(one.low, one.high) if one.high is not None else 'not looked at'}"
         for one in sources

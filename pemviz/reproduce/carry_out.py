@@ -190,7 +190,7 @@ def page_markdown(settings: Settings, *, pem: Pem, sections: Sequence[str], wall
     """Introduction, sections, provenance.
 
     Args:
-        settings: What was asked.
+        settings: What was requested.
         pem: The error model that Tables II and III and the figures rest on.
         sections: Markdown of each table and figure.
         wall_s: How long it took.

@@ -256,7 +256,7 @@ def _share_words(row: RowSummary, paper: float | None) -> str:
         return f"{ours}; the paper's figure is not given here."
     error = row.violating_share_std_error
     if error is None:
-        return f"{ours}, in the paper {paper:.0%}; one repetition tells no spread."
+        return f"{ours}, in the paper {paper:.0%}; one repetition shows no spread."
     if abs(row.violating_share - paper) <= CLEARLY * error:
         return f"{ours}, in the paper {paper:.0%}: no difference beyond the spread."
     more = "more" if row.violating_share > paper else "fewer"

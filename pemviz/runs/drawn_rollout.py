@@ -82,12 +82,12 @@ class DrawnRollout:
 
 
 def answer_words(slot: Slot, answer: int) -> str:
-    """What perception reported of a slot, in words: ``detected``, ``MISSED``, ``GHOST`` ..."""
+    """What perception reported of a slot: ``detected``, ``MISSED``, ``FALSE POSITIVE`` ..."""
     if answer == NOT_EVALUATED:
-        return "not in view" if slot.nominal else "no ghost"
+        return "not in view" if slot.nominal else "no false positive"
     if answer == RIGHT:
-        return "detected" if slot.nominal else "no ghost"
-    return "MISSED" if slot.nominal else "GHOST"
+        return "detected" if slot.nominal else "no false positive"
+    return "MISSED" if slot.nominal else "FALSE POSITIVE"
 
 
 def drawn_rollout(

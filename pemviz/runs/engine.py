@@ -41,8 +41,8 @@ VERSIONED = ("numpy", "scipy", "torch", "highway-env", "rerun-sdk", "viser")
 
 LATENTS = "beside perception, independent standard normals that the simulator maps are random"
 ONE_COURSE = (
-    "what the simulator draws at random of its own is the same in every rollout, as it states: the "
-    "answer is for this one course of it"
+    "what the simulator samples at random of its own is the same in every rollout, as it states: "
+    "the answer is for this one course of it"
 )
 INDEPENDENT = "misses are independent of each other given the state"
 BOUNDED = "metric agm, which ranks rollouts and no more, counts what is beyond a bound as the bound"

@@ -437,8 +437,8 @@ def _cautions(hazards: Sequence[JudgedHazard]) -> Iterator[str]:
             share, worth = harm.speeds.hit_share, harm.speeds.independent
             if worth < FEW_IMPACTS:
                 yield (
-                    f"{name}: P(harm) is that of few violations, worth {worth:.1f} independent "
-                    "ones: its interval may be too narrow"
+                    f"{name}: P(harm) is that of few violations, as good as {worth:.1f} "
+                    "independent ones: its interval may be too narrow"
                 )
             if share < 0.995:
                 yield (

@@ -24,7 +24,7 @@ from pemviz.types import Estimate
 LOG = logging.getLogger(__name__)
 POLL_S = 0.2
 ATTEMPTS = 2
-OTHER_RESULT = "its result is not what was asked for: another model, or a damaged file"
+OTHER_RESULT = "its result is not what was requested: another model, or a damaged file"
 RUNS = "runs"
 LOCK = ".sweep.lock"
 PARTIAL, REPLACED = ".partial", ".replaced"

@@ -170,7 +170,7 @@ def test_too_few_violations_tell_nothing():
     assert found.effective < 10.0
     assert found.plane is None
     assert starts_chart(found) is None
-    assert "cannot be told from" in starts_line(found)
+    assert "is not known from" in starts_line(found)
     assert starts_table(found).rows[0][3:] == ("-", "-", "-")
     with pytest.raises(InputError, match="starts: the run does not tell"):
         figures.starts(result=run("monte-carlo", final_rollouts=100))

@@ -62,7 +62,7 @@ def test_a_kind_of_model_is_checked_out_of_fold(tmp_path, capsys):
     assert [len(one.quantities) for one in read.variants] == [18] * 4
     assert read.variants[0].refuted
     text = page.read_text()
-    assert "Checked on 48 tracks of 6 sequences, each told by a model of the other" in text
+    assert "Checked on 48 tracks of 6 sequences, each judged by a model of the other" in text
     assert "| largest error of all tracks |" in text
     assert ": refuted |" in text
     assert "(check.png)" in text

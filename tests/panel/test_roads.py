@@ -126,7 +126,7 @@ def test_every_page_is_drawn_without_a_gap(ran):
     run = ran.run
     assert "Missed in violations, by time" in why(run)
     assert "Missed in violations, by distance" not in why(run)
-    assert "No signal of the scenario tells how near" in weights_page(run)
+    assert "No signal of the scenario says how near" in weights_page(run)
     assert heaviest_chart(run).title.startswith("Collided of the rollouts")
     assert ">collided</text>" in metrics_page(run)
     assert learning(run)

@@ -168,7 +168,7 @@ def test_status_tells_stage_rollouts_and_time_left():
     levels = status_words(PanelState(running=True, progress=replace(progress, by_level=True)))
     assert "Stage 4 of 11: 42% of the way to violations, about 14 s left" in levels
     open_end = status_words(PanelState(running=True, progress=replace(progress, goes_on=True)))
-    assert "Stage 4: 500 rollouts, until the interval is as narrow as asked" in open_end
+    assert "Stage 4: 500 rollouts, until the interval is as narrow as requested" in open_end
     assert "left" not in open_end
     slow = status_words(
         PanelState(

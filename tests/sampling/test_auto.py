@@ -156,7 +156,7 @@ def test_time_that_is_over_before_anything_violates_leaves_the_counts_upper_boun
     result = run(experiment(*RARE, seed=3, max_minutes=0.1))
     found = result.estimate
     assert found.method == "monte-carlo"
-    assert "no interval, 20 % were asked for, and stopped by max_minutes 0.1" in summary_text(
+    assert "no interval, 20 % were requested, and stopped by max_minutes 0.1" in summary_text(
         result
     )
     assert found.failures == 0
@@ -238,7 +238,7 @@ def test_what_was_chosen_is_told(system, chosen):
     assert f"auto, which chose {chosen}:" in told
     first, half = result.stages[0], result.estimate.relative_half_width
     assert f"{first.failures} of the first {first.rollouts} plain rollouts violate" in told
-    assert f"+- {100 * half:.{1 if half < 0.1 else 0}f} %, 20 % were asked for" in told
+    assert f"+- {100 * half:.{1 if half < 0.1 else 0}f} %, 20 % were requested" in told
     assert f"method {chosen} " in _sampling_step(result).lower()
 
 

@@ -389,7 +389,7 @@ def test_a_message_that_cannot_be_told_does_no_harm():
         def __str__(self):
             raise SystemExit(0)
 
-    with pytest.raises(SimulationError, match="its message cannot be told"):
+    with pytest.raises(SimulationError, match="its message cannot be shown"):
         draw(raising(error=NastyError()))
 
 

@@ -119,7 +119,7 @@ def test_the_answer_says_what_it_is_for_and_what_it_cannot_tell():
     assert "if error model ToyPem with 10 % dirty lenses is right" in pemviz.summary_text(result)
     assert "independent of each other" not in words
     assert "not enough alone" not in words
-    assert "not told with 10 % dirty lenses" in words
+    assert "not available with 10 % dirty lenses" in words
     assert "misses hang together by 10 % dirty lenses" in words
     assert result.memory.hidden == ("10 % dirty lenses",)
     assert result.memory.curve == ()  # would be the answer for clean lenses

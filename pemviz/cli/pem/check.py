@@ -42,7 +42,7 @@ memory time, with a frailty, with both.
 
 What is checked
   --table FILE           tracks of 'pemviz pem collect', or of your own
-  --model gb-raw         a kind of model; a part of the sequences is told by a
+  --model gb-raw         a kind of model; a part of the sequences is judged by a
                          model of the others (--folds 5)
   --pem FILE             or a fitted model, against tracks that it has not seen
   --position-errors FILE with --pem: also its errors of positions

@@ -164,7 +164,7 @@ def _verdict(check: IndependenceCheck) -> str:
         f"of {low:.2g} to {high:.2g} s do"
     )
     return (
-        f"{seen}\n{judged}\nvideo like this that tells a memory time from 0 (at most 5 % false "
+        f"{seen}\n{judged}\nvideo like this that shows a memory time above 0 (at most 5 % false "
         f"alarm, 80 % power):\n{needed}"
     )
 

@@ -83,7 +83,7 @@ def _by_occlusion(pem: Pem, obstacles: Obstacles) -> str:
             rows[:, column] = level
         if len(rows):
             shown.append(f"{name} {float(expit(-pem.logit(rows)).mean()):.2g}")
-    return f"occluded {', '.join(shown)}; what is written holds for all alike"
+    return f"occluded {', '.join(shown)}; what is written holds for all equally"
 
 
 def _on_end(miss: FloatArray, rho: float) -> FloatArray:

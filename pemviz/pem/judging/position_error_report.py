@@ -131,7 +131,7 @@ def fit_position_errors(
         licence=settings.licence,
         recipe=(
             "maximum likelihood; mean and log scale linear in functions of distance, bearing and "
-            f"aspect (headings {heading}); family of tails: {settings.tails}; correlation of "
+            f"aspect (headings {heading}); kind of tails: {settings.tails}; correlation of "
             f"held-out normal scores; intervals by resampling, seed {settings.seed}"
         ),
         report=report,

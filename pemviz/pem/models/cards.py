@@ -29,7 +29,9 @@ SINGLE_OBSTACLES = (
     "Scores are of single obstacles; consecutive misses of one obstacle are not modelled as "
     "dependent."
 )
-REMEMBERED = "Scores are of single observations; how misses of one obstacle follow is told above."
+REMEMBERED = (
+    "Scores are of single observations; how misses of one obstacle follow each other stands above."
+)
 LIMITS = """\
 ## Limits
 
@@ -40,9 +42,9 @@ LIMITS = """\
 - {dependence}
 - Obstacles of one drive, and of one image, resemble each other: cross-validated scores over
   obstacles are better than scores on a new drive would be.{counts}"""
-NEARNESS = "the support check tells where"
+NEARNESS = "the support check says where"
 NEARNESS_OF_RANGES = (
-    "a run tells where its scenario leaves the range of a feature,\n"
+    "a run says where its scenario leaves the range of a feature,\n"
     "  not where it leaves what features were seen together"
 )
 COUNTS = """

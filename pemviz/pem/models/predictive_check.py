@@ -60,10 +60,10 @@ FAMILY_WISE = 0.05
 """Chance that any quantity of a right model is refuted."""
 
 CHECK_MEANS = (
-    "In each variant: the mean of data sets drawn from it along the same tracks, the middle 95 % "
+    "In each variant: the mean of data sets sampled from it along the same tracks, the middle 95 % "
     "of them, and the two-sided p-value of what was observed. 'Refuted' by Holm's procedure: of a "
     f"right model any quantity is refuted in at most {FAMILY_WISE:.0%} of cases. That none is does "
-    "not show that a model is right: these tracks do not tell it from one that is."
+    "not show that a model is right: these tracks do not distinguish it from one that is."
 )
 
 Unit = Literal["s", "m", "share", "count"]
@@ -285,7 +285,7 @@ def data_words(check: ModelCheck) -> str:
     if check.same_data:
         seen = "which are the data that it was fitted to, so that they flatter it"
     elif check.folds:
-        seen = f"each told by a model of the other sequences ({check.folds} parts)"
+        seen = f"each judged by a model of the other sequences ({check.folds} parts)"
     return f"{check.tracks:,} tracks of {check.sequences} sequences, {seen}"
 
 
@@ -350,7 +350,7 @@ def p_words(p_value: float) -> str:
 
 def verdict_lines(check: ModelCheck) -> list[str]:
     """What is to be said of a check, a line each: on what, and each variant's verdict."""
-    drawn = f"{check.draws} data sets drawn from each variant"
+    drawn = f"{check.draws} data sets sampled from each variant"
     return [f"Checked on {data_words(check)}; {drawn}.", *map(_verdict, check.variants)]
 
 

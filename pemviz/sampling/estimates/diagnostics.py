@@ -96,9 +96,9 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="there was a run in which no particle reached a violation",
     ),
     "not-absorbing": Meaning(
-        phrase="nothing tells during a rollout whether it has violated",
+        phrase="nothing says during a rollout whether it has violated",
         undermines=ALL,
-        in_repetitions="nothing tells during a rollout whether it has violated",
+        in_repetitions="nothing says during a rollout whether it has violated",
     ),
     "few-runs": Meaning(
         phrase="are too few for an interval",
@@ -117,7 +117,7 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="violating particles descended from very few ancestors",
     ),
     "wide-interval": Meaning(
-        phrase="it tells only the order of magnitude",
+        phrase="it gives only the order of magnitude",
         undermines=NOTHING,
         in_repetitions="the answer gave only the order of magnitude",
     ),
@@ -249,7 +249,7 @@ def _below_doubles(log10_probability: float) -> Sequence[Diagnostic]:
 def not_absorbing() -> Diagnostic:
     """Of importance sampling whose rollouts do not know when they have violated."""
     text = (
-        "nothing tells during a rollout whether it has violated, so proposals are wasted on what "
+        "nothing says during a rollout whether it has violated, so proposals are wasted on what "
         "comes after: on an exactly solved example such estimates were too low by 59 % on average "
         "at 20 rollouts a stage, by 30 % at 50, by 10 % at 100 and by 0.6 % at 218; give it a "
         "monitor"
@@ -279,13 +279,13 @@ def parts_disagreement(*, late: float, halves: float) -> Sequence[Diagnostic]:
     between every other rollout and the rest (``halves``).
     """
     errors, which = max(
-        (late, "those drawn last and those before"), (halves, "one half and the other")
+        (late, "those sampled last and those before"), (halves, "one half and the other")
     )
     if errors <= AGREEMENT_ERRORS:
         return ()
     text = (
-        f"parts of the rollouts disagree, {which} by {errors:.1f} joint standard errors: a way of "
-        "failing may not be known well"
+        f"parts of the rollouts disagree, {which} by {errors:.1f} joint standard errors: a "
+        "failure mode may not be known well"
     )
     return (Diagnostic("parts-disagree", errors, AGREEMENT_ERRORS, text),)
 

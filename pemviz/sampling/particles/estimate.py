@@ -113,7 +113,7 @@ def width_diagnostics(*, probability: float, low: float, high: float) -> tuple[D
     if factor <= WIDE_FACTOR:
         return ()
     text = (
-        f"the interval reaches a factor of {factor:.1f} from the estimate: it tells only the order "
+        f"the interval reaches a factor of {factor:.1f} from the estimate: it gives only the order "
         "of magnitude"
     )
     return (Diagnostic("wide-interval", factor, WIDE_FACTOR, text),)

@@ -192,13 +192,13 @@ class FalsePositiveReports:
     """
 
     probability: float
-    data = "ghosts: a probability that was chosen"
+    data = "false positives: a probability that was chosen"
     licence = "none needed"
 
     @property
     def name(self) -> str:
         """For results."""
-        return f"ghosts {self.probability:g}"
+        return f"false positives {self.probability:g}"
 
     @property
     def digest(self) -> str:

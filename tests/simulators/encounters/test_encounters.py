@@ -194,7 +194,7 @@ def test_a_ghost_is_answered_for_by_the_probability_that_was_chosen():
     salient = np.zeros((1, 13))
     salient[:, -2:] = 1.0, 2.0  # present, the third slot
     assert expit(-model.logit(salient)) == pytest.approx([0.02])
-    assert model.name == "ml-nn+ghosts 0.02"
+    assert model.name == "ml-nn+false positives 0.02"
     assert len(model.digest) == 64
 
 
