@@ -30,7 +30,6 @@ extensions = [
     "commands",
     "settings",
     "result_fields",
-    "pages",
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
