@@ -195,5 +195,5 @@ def beyond_default_text(result: RunResult) -> str:
 
 
 def data_text(pem: PemInfo) -> str:
-    """What an error model learnt from, as far as a line needs it: up to the first detail."""
+    """What an error model learned from, as far as a line needs it: up to the first detail."""
     return re.split(r" \(|; ", pem.data, maxsplit=1)[0] or "data that it does not name"

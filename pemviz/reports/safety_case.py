@@ -241,7 +241,7 @@ def _argument(result: RunResult) -> tuple[str, ...]:
         f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
         "deterministic in it (assumptions below).",
         f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
-        f"what it looks at, learnt from {data}. How far that may be wrong: E2, E5.",
+        f"what it looks at, learned from {data}. How far that may be wrong: E2, E5.",
         _sampling_step(result),
         "So the failure probability follows, if the error model is right (E1); how far it is open "
         "if it is not, source by source: E2. What causes violations, so that experts can judge "

@@ -311,7 +311,7 @@ class RunResult(ShownInNotebooks):
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
             in all, then of each rule's.
-        model_classes: The answer under other model classes that learnt from the same data.
+        model_classes: The answer under other model classes that learned from the same data.
         data_bound: What the model's training data alone allow.
         plan: What to measure next, if that was to be planned.
         explanation: Where and when the detector misses before violations, and what would help.

@@ -1,4 +1,4 @@
-"""A mended memory: a visibility that drifts, in place of outcomes that are copied.
+"""A memory of another kind: a visibility that drifts, in place of outcomes that are copied.
 
 pemviz's memory copies the outcome before with probability rho = exp(-h / tau) and draws anew
 otherwise. In a constant state P(missed) then stays p. Where p falls from nearly 1 to nearly 0

@@ -50,7 +50,7 @@ from studies.detector_in_the_loop.worlds import BrakingWorld
 LOG = logging.getLogger(__name__)
 Tell = Callable[[str], None]
 DRIFTING = "drifting"
-"""The variant with the mended memory of :mod:`.drifting`."""
+"""The variant with the drifting memory of :mod:`.drifting`."""
 DRAWN = 100_000
 """Plain rollouts of it."""
 HIDDEN = "hidden"

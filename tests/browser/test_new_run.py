@@ -52,7 +52,7 @@ def test_nonsense_is_answered_at_its_field_and_a_reload_returns_the_form(page, p
     field(page, "Final rollouts").fill("1e9")
     expect(says(page, "final_rollouts")).to_contain_text("must be at most")
     expect(page.locator("[id='field-final_rollouts-note']")).to_contain_text("GB of memory")
-    expect(page.locator(".act")).to_contain_text("To mend: Final rollouts")
+    expect(page.locator(".act")).to_contain_text("To fix: Final rollouts")
     expect(page.locator(".told h2").first).to_have_text("Final rollouts")
     page.screenshot(path=shots / "new-run-wrong.png")
     field(page, "Final rollouts").fill("1e6")

@@ -170,7 +170,7 @@ export function NewRun({ at, state, tell }) {
       <button class="main" disabled=${stopped} title="Ctrl Enter" onClick=${run}>Run</button>
       ${state?.running && html`<button disabled=${state.stopping} onClick=${() => ask("stop")}>Stop</button>`}
       <span class="says">${starting ? "Starting ..."
-        : mistakes.length ? html`<b class="no">To mend: </b>${links(mistakes)}`
+        : mistakes.length ? html`<b class="no">To fix: </b>${links(mistakes)}`
         : Object.keys(check.notes).length ? html`<b>To mind: </b>${links(Object.keys(check.notes))}`
         : state?.running ? html`A run is under way: one at a time. <a href=${`#/run/${encodeURIComponent(state.run ?? "")}`}>See it</a>`
         : check.differs.length ? `Differs from ${form.name}: ${check.differs.map((one) => `${one.label} ${brief(one.after, 24)}`).join("; ")}`

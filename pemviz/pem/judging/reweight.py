@@ -34,7 +34,7 @@ class MemberEstimates:
 
 @dataclass(frozen=True)
 class PemInterval:
-    """How far the training data leaves mu open, through the model that learnt from it."""
+    """How far the training data leaves mu open, through the model that learned from it."""
 
     log10_low: float
     """Lower end, log10 of mu; -inf if no rollout violated."""
