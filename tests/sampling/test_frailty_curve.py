@@ -164,7 +164,7 @@ def test_words_and_picture_say_whose_frailty_it_is_and_what_it_is_worth():
     line = frailty_line(memory)
     assert line.startswith("So is that obstacles in the same state are equal (frailty 0): 1e-15")
     assert "0.0005 with that of RRC, a camera detector (0.68). " in line
-    assert line.endswith("worth 12 orders of magnitude.")
+    assert line.endswith("changes the answer by 12 orders of magnitude.")
     assert frailty_line(replace(memory, frailty=0.68)).startswith("So is a frailty of 0.68: 1e-15")
     assert [row[0] for row in curve_table(memory, BY_FRAILTY).rows] == ["all equal", "0.68"]
     assert "0.68: RRC, on video" in svg(memory_chart(memory, BY_FRAILTY))
