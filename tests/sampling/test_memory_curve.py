@@ -148,7 +148,7 @@ def test_orders_of_magnitude_and_thin_intervals_are_said():
     curve = (point(0.0, 1e-15, tail), point(0.17, 1e-4), point(0.3, 1e-3), point(0.5, 2e-3))
     own = MeasuredTau(tau_s=0.5, low_s=0.4, high_s=0.6, confidence=0.95)
     memory = RunMemory(tau_s=0.0, curve=curve)
-    assert assumption_line(memory).endswith("worth 12 orders of magnitude.")
+    assert assumption_line(memory).endswith("changes the answer by 12 orders of magnitude.")
     table = curve_table(memory, BY_MEMORY_TIME)
     assert table.rows[0][2].endswith("not a 95 % interval, Pareto k-hat is 0.81")
     assert table.columns[2] == "interval"
