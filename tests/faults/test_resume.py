@@ -95,9 +95,7 @@ def stopped_and_whole(experiment, root, *stops):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     # what measured memories would give is sampled after the stages, whatever the method
-    config = replace(
-        SMALL, method=method, measured_memory=method == "naive", plan=method == "mixture"
-    )
+    config = replace(SMALL, method=method, measured_memory=method == "naive")
     if method == "splitting":  # many levels take long
         config = replace(config, rollouts=8, repetitions=1)
     experiment = build_experiment(config)
