@@ -15,7 +15,7 @@ from tests.fuzz.__main__ import TARGETS, main, shares
 from tests.fuzz.harness import Counts, Target, carry_out, judge, valid_files
 from tests.fuzz.mutate import as_json, damage_bytes, damage_tree
 
-QUICK_CASES = 800
+QUICK_CASES = 1_500
 NIGHTLY_CASES = 120_000
 
 
