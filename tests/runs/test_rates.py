@@ -49,7 +49,7 @@ def test_rate_and_hours_are_each_others_inverse_ends_included():
     assert (rate.per_hour, rate.low, rate.high) == pytest.approx((0.1, 0.05, 0.2))
     assert (rate.hours_between, rate.hours_low, rate.hours_high) == pytest.approx((10.0, 5.0, 20.0))
     assert rate_line(hourly()) == (
-        "With 5 encounters an hour, as the scenario draws them: 0.10 violations an hour (95 % "
+        "With 5 encounters an hour, as the scenario samples them: 0.10 violations an hour (95 % "
         "interval 0.050 to 0.20), one in 10 hours of driving (5.0 to 20)"
     )
 
@@ -97,7 +97,7 @@ def test_without_a_violation_no_more_is_told_than_the_bound(of, end):
 
 
 @pytest.mark.parametrize(
-    ("of", "words"), [(hourly, "as the scenario draws them"), (driven, "kilometre")]
+    ("of", "words"), [(hourly, "as the scenario samples them"), (driven, "kilometre")]
 )
 def test_every_place_tells_it_and_what_it_assumes(of, words, capsys):
     result = of()
