@@ -18,9 +18,7 @@ COUNTED = pemviz.ExperimentConfig(
     plan=False,
     seed=1,
 )
-WEIGHED = replace(
-    COUNTED, method="mixture", stages=3, rollouts=60, final_rollouts=200, memory_s=0.1
-)
+WEIGHED = replace(COUNTED, method="mixture", stages=3, rollouts=100, memory_s=0.1)
 DOUBTED = replace(WEIGHED, method="adaptive", rollouts=40, final_rollouts=40, epochs=20)
 """By a method whose intervals are none."""
 CUT_IN = replace(

@@ -185,7 +185,7 @@ def test_a_small_study_that_is_interrupted_goes_on(tmp_path):
         cases=("walk: 0.9", "walk: until"),
         methods=("zero-variance", "mixture"),
         seeds=2,
-        rollouts=120,
+        rollouts=240,
         processes=1,
         out=tmp_path,
     )

@@ -103,7 +103,9 @@ def test_no_guess_where_nothing_is_near(capsys):
     assert "did you mean" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", ["--help", "record --help-all", "pem show", "completion bash"])
+@pytest.mark.parametrize(
+    "words", ["--help", "record --help", "record --help-all", "pem show", "completion bash"]
+)
 def test_a_reader_who_has_had_enough_hears_no_complaint(words):
     command = [sys.executable, "-m", "pemviz", *words.split()]
     reading, writing = os.pipe()

@@ -56,7 +56,7 @@ def check(*words):
 
 def test_a_kind_of_model_is_checked_out_of_fold(tmp_path, capsys):
     table, page = write_tracks(tmp_path / "tracks.csv", errors=True), tmp_path / "check.md"
-    words = ("--table", table, "--model", "lr", "--folds", 2, "--draws", 799)
+    words = ("--table", table, "--model", "lr", "--folds", 5, "--draws", 799)
     assert check(*words, "--out", page, "--json") == 0
     read = check_from_mapping(json.loads(capsys.readouterr().out)["check"], where="stdout")
     assert [len(one.quantities) for one in read.variants] == [18] * 4

@@ -103,7 +103,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
     carry_out(experiment, whole)
     parts = folder_of(tmp_path, "parts")
     stages = [s["stage"] for s in contents(whole)["result"]["stages"]]
-    for after in sorted({1, len(stages) // 2, len(stages) - 1}):
+    for after in range(1, len(stages), 2):
         stopped(experiment, parts, after=after)
         assert len(load_rollouts(parts)["stage"]) > 0
     carry_out(experiment, parts)

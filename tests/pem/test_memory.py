@@ -158,9 +158,9 @@ def test_likelihood_equals_the_naive_one(tau_s, frailty):
 
 
 def test_intervals_cover_the_memory_that_tracks_were_drawn_with():
-    """Of 8 intervals that each cover in 95 %, fewer than 5 do so in 4e-4 of all seeds."""
+    """Of 12 intervals that each cover in 95 %, fewer than 8 do so in one of 10^3 seeds."""
     covered = np.zeros(2, dtype=int)
-    for seed in range(8):
+    for seed in range(12):
         table, own = draw_tracks(
             seed=seed, tau_s=0.2, frailty=0.8, sequences=8, tracks_each=5, frames=20
         )
@@ -170,7 +170,7 @@ def test_intervals_cover_the_memory_that_tracks_were_drawn_with():
             low <= true <= high
             for true, (low, high) in ((0.2, fit.tau_interval_s), (0.8, fit.frailty_interval))
         ]
-    assert (covered >= 5).all()
+    assert (covered >= 8).all()
 
 
 def test_independent_tracks_reach_down_to_zero():
@@ -460,25 +460,25 @@ def test_shorter_memories_need_more_video():
 
 
 def test_the_power_that_is_promised_is_had():
-    """Of 10 samples of the size that 80 % find, fewer than 4 do so in 9e-4 of all seeds."""
+    """Of 16 samples of the size that 80 % find, fewer than 8 do so in one of 600 seeds."""
     template, own = draw_tracks(seed=9, tau_s=0.0, frailty=0.0, tracks_each=6)
     needed = needed_sample(template, own, fit=fit_memory(template, own), tau_s=0.06)
     found = 0
-    for seed in range(10):
+    for seed in range(16):
         table, logit = draw_tracks(
             seed=100 + seed, tau_s=0.06, frailty=0.0, sequences=needed.sequences, tracks_each=6
         )
         found += fit_memory(table, logit).p_value < 0.05
     assert POWER == 0.8
-    assert found >= 4
+    assert found >= 8
 
 
 def test_independent_misses_are_seldom_refused():
-    """Of 10 samples at 5 % false alarm, more than 3 are refused in one of 10^3 seeds."""
+    """Of 16 samples at 5 % false alarm, more than 4 are refused in one of 10^3 seeds."""
     refused = 0
-    for seed in range(10):
+    for seed in range(16):
         table, logit = draw_tracks(
             seed=200 + seed, tau_s=0.0, frailty=0.0, sequences=6, tracks_each=5
         )
         refused += fit_memory(table, logit).p_value < 0.05
-    assert refused <= 3
+    assert refused <= 4

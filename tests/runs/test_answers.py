@@ -132,7 +132,7 @@ def test_which_memories_are_looked_at():
 
 
 def test_answers_with_measured_memories_are_right():
-    """600 rollouts, 3 seeds: 6 intervals; more than two fail at 95 % each with odds of 2e-3.
+    """600 rollouts, 4 seeds: 8 intervals, two of which may fail at 95 % each with odds of 1 in 20.
 
     Each estimate lies within 40 % of the truth; the error of one is 15 % or less.
     """
@@ -140,7 +140,7 @@ def test_answers_with_measured_memories_are_right():
     assert experiment.twin is not None
     problem = replace(experiment.problem, simulator=experiment.twin)
     held = 0
-    for seed in range(3):
+    for seed in range(4):
         points = memory_points(
             problem, pem=load_pem("ml-nn"), features=experiment.features, seed=seed,
             memories=tuple(MEASURED.values()), rollouts=600,
@@ -150,7 +150,7 @@ def test_answers_with_measured_memories_are_right():
             assert (point.tau_s, point.frailty) == (memory.tau_s, memory.frailty)
             assert point.probability == pytest.approx(truth, rel=0.4)
             held += point.low <= truth <= point.high
-    assert held >= 4
+    assert held >= 6
 
 
 @pytest.mark.parametrize("looked_at", [True, False])

@@ -218,7 +218,7 @@ def test_the_runs_are_believed_before(made):
         assert read_result(folder).status == "done"
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_whatever_single_value_is_changed_is_found(made, tmp_path, data):
     document = json.loads((made[0] / "result.json").read_text())

@@ -31,9 +31,6 @@ SMALL = ExperimentConfig(
 RULES = {"near": "always[0,59] (gap >= 6.5)", "nearer": "always[0,59] (gap >= 6.2)"}
 CUT_IN = replace(
     SMALL,
-    stages=2,
-    rollouts=30,
-    final_rollouts=40,
     scenario=ScenarioConfig(),
     spec="always[0,90] (needless_deceleration <= 3.0)",
     encounter=EncounterConfig(logical_scenario="cut-in", ghost_probability=0.05),
@@ -55,8 +52,6 @@ WITHOUT = {
     "slots": ("adaptive", "zero-variance"),
     # what they would give is sampled beside the run, whatever its method
     "measured memories": {method.name for method in SHIPPED} - {"mixture"},
-    # the others count and draw the same, whatever the metric
-    "agm": {method.name for method in SHIPPED} - {"adaptive", "mixture", "splitting", "subset"},
 }
 CASES = [
     (kind, method.name)

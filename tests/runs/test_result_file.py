@@ -131,7 +131,7 @@ def changed(document, path, value):
 
 
 @settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(results())
 def test_what_is_written_is_read_back(tmp_path, result):

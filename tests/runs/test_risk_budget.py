@@ -173,7 +173,7 @@ def test_violations_that_hit_nothing_are_told_where_others_hit(folder, monkeypat
 
 def test_of_splitting_it_is_the_runs_that_tell_how_sure_p_harm_is(tmp_path):
     """By the particles' number it would look several times surer than it is."""
-    config = replace(WEIGHED, method="splitting", stages=8, rollouts=120)
+    config = replace(WEIGHED, method="splitting", stages=8, rollouts=300)
     make_run(tmp_path / "run", config)
     one = judged(tmp_path, hazard(runs=("run",), extra=SAMPLING, harm=CURVE))
     arrays = read_arrays(tmp_path / "run" / "rollouts.npz")

@@ -35,15 +35,12 @@ def answers(simulator, pem, *, seeds, **settings):
     return [run(experiment(simulator, pem, seed=seed, **settings)) for seed in range(seeds)]
 
 
-@pytest.mark.parametrize(("precision", "seeds", "least"), [(0.1, 10, 7), (0.3, 20, 16)])
-def test_frequent_violations_are_counted_as_precisely_as_was_asked(precision, seeds, least):
-    """Of 10 exact 95 % intervals fewer than 7 hold in 1e-3 of all studies.
-
-    Of 20 fewer than 16 hold in 3e-3.
-    """
+@pytest.mark.parametrize("precision", [0.1, 0.3])
+def test_frequent_violations_are_counted_as_precisely_as_was_asked(precision):
+    """Of 20 exact 95 % intervals fewer than 16 hold in three of a thousand studies."""
     exact = toy_probability_by_recursion(*OFTEN)
     assert exact > 0.02
-    results = answers(*OFTEN, seeds=seeds, precision=precision)
+    results = answers(*OFTEN, seeds=20, precision=precision)
     held = 0
     for result in results:
         found = result.estimate
@@ -51,7 +48,7 @@ def test_frequent_violations_are_counted_as_precisely_as_was_asked(precision, se
         assert {stage.kind for stage in result.stages} <= {"pretrain", "final"}
         assert found.ci_high - found.ci_low < 2.6 * precision * found.probability
         held += found.ci_low <= exact <= found.ci_high
-    assert held >= least
+    assert held >= 16
 
 
 def test_rare_violations_are_left_to_proposals():
@@ -108,7 +105,7 @@ def test_what_only_the_last_stage_shows_is_learned_from_and_resumed_to_the_last_
     found = whole.method.estimate(state)
     assert not found.diagnostics
     assert found.probability == pytest.approx(branches.truth, rel=0.2)
-    for stops in (late, len(results) - 1):
+    for stops in (late, late + 1, len(results) - 1):
         left = {
             result.stage: FinishedStage(result.scored, result.kept, result.sampled)
             for result in results[:stops]
@@ -206,9 +203,10 @@ def test_two_sides_of_random_starts_and_noise_are_both_found():
     exact = 2.0 * stats.norm.sf(4.5)
     last = drift.states - 1
     spec = f"eventually[{last},{last}] (distance <= {limit!r} and distance >= {-limit!r})"
-    config = ExperimentConfig(method="auto", spec=spec, seed=0, measured_memory=False)
-    found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
-    assert found.probability == pytest.approx(exact, rel=0.5)
+    for seed in range(2):
+        config = ExperimentConfig(method="auto", spec=spec, seed=seed)
+        found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.5))).estimate
+        assert found.probability == pytest.approx(exact, rel=0.5)
 
 
 def test_an_answer_that_plain_rollouts_contradict_is_told():

@@ -150,8 +150,8 @@ def test_what_was_lost_with_a_worker_is_simulated_again(with_one_alike, tmp_path
 def test_a_rollout_that_ends_every_worker_is_named(with_one_alike):
     problem, _, number, outcomes = with_one_alike
     simulator = Aborts(states=14, outcomes=outcomes)
-    with ProcessPool(1) as pool:
-        runner = PooledRunner(pool.submit, 1, renew=pool.renew)
+    with ProcessPool(2) as pool:
+        runner = PooledRunner(pool.submit, 2, renew=pool.renew)
         words = rf"worker processes were lost one after the other in rollout {number}: killed, or"
         with pytest.raises(SimulationError, match=words):
             sampled(replace(problem, simulator=simulator, run_batches=runner))

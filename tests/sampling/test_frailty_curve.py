@@ -97,7 +97,7 @@ def truth(memory):
 
 def curve_of(problem=PROBLEM, *, since=BLIND, curve=frailty_curve, **options):
     features = Evaluating(WALK.signals, since)
-    options = {"rollouts": 800, **options}
+    options = {"rollouts": 1200, **options}
     return curve(problem, pem=PEM, features=features, seed=2, **options)
 
 

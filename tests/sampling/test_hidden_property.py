@@ -144,13 +144,13 @@ def test_on_the_papers_scenario_it_is_that_of_the_dirty_and_the_clean_lens():
     """
     lens, pem = DirtyLens(share=0.01, drop=3.0), load_pem("ml-nn")
     config = ExperimentConfig(
-        method="zero-variance", seed=1, final_rollouts=200, plan=False, measured_memory=False
+        method="zero-variance", seed=1, final_rollouts=500, plan=False, measured_memory=False
     )
     dirty, clean = (
         run(build_experiment(config, pem=Lowered(pem, drop))).estimate for drop in (lens.drop, 0.0)
     )
     truth = lens.share * dirty.probability + (1.0 - lens.share) * clean.probability
-    config = replace(config, method="mixture", final_rollouts=500)
+    config = replace(config, method="mixture", final_rollouts=1000)
     found = run(build_experiment(config, hidden=[lens])).estimate
     error = math.hypot(found.std_error, lens.share * dirty.std_error)
     assert abs(found.probability - truth) < 5 * error

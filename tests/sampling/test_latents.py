@@ -142,8 +142,8 @@ def flat_slots(miss, ghost):
 SPENT = {
     "monte-carlo": {"final_rollouts": 20_000},
     "naive": {"final_rollouts": 20_000, "naive_detection_probability": 0.8},
-    "splitting": {"rollouts": 120, "stages": 8},
-    "subset": {"rollouts": 250, "stages": 8},
+    "splitting": {"rollouts": 300, "stages": 8},
+    "subset": {"rollouts": 500, "stages": 8},
     "mixture": {"rollouts": 200, "stages": 2, "final_rollouts": 300},
 }
 
@@ -279,7 +279,7 @@ def test_mixture_moves_latents_to_the_tail(case):
     simulator, pem, limit, error = RARE[case]
     exact = simulator.probability(limit, miss=0.1)
     assert 1e-9 < exact < 1e-6
-    settings = {"method": "mixture", "rollouts": 100, "stages": 6, "final_rollouts": 400, "seed": 5}
+    settings = {"method": "mixture", "rollouts": 150, "stages": 6, "final_rollouts": 500, "seed": 5}
     found = pemviz.run(
         experiment_of(simulator, simulator.spec(limit), pem=pem, **settings)
     ).estimate

@@ -222,9 +222,8 @@ def test_a_stopped_run_with_memory_goes_on_to_the_same_bytes(method, tmp_path):
 
 
 def test_both_back_ends_give_the_same_rollouts_with_memory():
-    short = replace(SHORT, stages=1, rollouts=12, final_rollouts=12, plan=False)
     found = [
-        run_experiment(replace(short, simulator=name)) for name in ("vectorized", "highway-env")
+        run_experiment(replace(SHORT, simulator=name)) for name in ("vectorized", "highway-env")
     ]
     one, other = (result.estimate for result in found)
     assert one is not None

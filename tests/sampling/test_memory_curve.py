@@ -53,8 +53,7 @@ def test_one_set_of_rollouts_serves_every_memory_time():
 
 
 def test_the_curve_does_not_depend_on_the_batch_size():
-    batches = replace(PROBLEM, batch_rollouts=17)
-    assert curve_of(rollouts=300) == curve_of(batches, rollouts=300)
+    assert curve_of() == curve_of(replace(PROBLEM, batch_rollouts=17))
 
 
 def test_a_specification_that_nothing_violates_has_a_curve_of_zeros():

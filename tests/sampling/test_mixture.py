@@ -29,28 +29,28 @@ def run(problem, *, repetition=0, rollouts=60, final=60, stages=6, seed=11):
 
 
 def test_close_to_the_truth_and_covering_it():
-    """20 runs of 700 rollouts at a probability of 6e-8.
+    """40 runs of 700 rollouts at a probability of 6e-8.
 
-    Fewer than 13 covering would happen with probability 4e-4 at a true 90 %.
+    Fewer than 31 covering would happen with probability 4e-4 at a true 90 %.
     """
     simulator, pem = ToySimulator(initial_gap=6, states=18), ToyPem(at_zero=3.5)
     truth = toy_probability_by_recursion(simulator, pem)
     problem = toy_problem_of(simulator, pem)
     found = [
         run(problem, repetition=repetition, rollouts=100, final=100, stages=5)[0]
-        for repetition in range(20)
+        for repetition in range(40)
     ]
     ratio = np.array([estimate.probability for estimate in found]) / truth
     assert np.sqrt(np.mean((ratio - 1.0) ** 2)) < 0.1
-    assert sum(e.ci_low < truth < e.ci_high for e in found) >= 13
+    assert sum(e.ci_low < truth < e.ci_high for e in found) >= 31
 
 
 def test_frozen_batch_is_unbiased():
-    """Mean of 15 frozen batches, t-test at level 1e-4; the seed is fixed."""
+    """Mean of 30 frozen batches, t-test at level 1e-4; the seed is fixed."""
     simulator, pem = ToySimulator(initial_gap=6, states=18), ToyPem(at_zero=3.5)
     truth = toy_probability_by_recursion(simulator, pem)
     problem = toy_problem_of(simulator, pem)
-    found = [run(problem, repetition=repetition, stages=4)[0] for repetition in range(15)]
+    found = [run(problem, repetition=repetition, stages=4)[0] for repetition in range(30)]
     ratio = [estimate.unbiased_probability / truth for estimate in found]
     assert stats.ttest_1samp(ratio, 1.0).pvalue > 1e-4
 

@@ -30,17 +30,17 @@ def test_one_miss_is_geometric_waiting():
     ],
 )
 def test_right_where_violations_begin_at_any_time(system, miss, at_least):
-    """12 runs of 360 rollouts each: geometric waiting, and two misses that no feature tells of.
+    """20 runs of 360 rollouts each: geometric waiting, and two misses that no feature tells of.
 
-    Were 93 % of unwarned intervals to hold the truth, fewer than all but four would in 1e-3.
+    Were 93 % of unwarned intervals to hold the truth, fewer than all but five would in 2e-3.
     """
     truth, problem = probability(system, miss), problem_of(system, miss)
     assert at_least < truth < 2.1 * at_least
     method = MixtureSampling(learning_stages=4, rollouts=60, final_rollouts=60, seed=3)
-    found = [carried_out(method, problem, repetition=number)[0] for number in range(12)]
+    found = [carried_out(method, problem, repetition=number)[0] for number in range(20)]
     unwarned = [each for each in found if not each.warnings]
-    assert len(unwarned) >= 5
-    assert sum(each.ci_low <= truth <= each.ci_high for each in unwarned) >= len(unwarned) - 4
+    assert len(unwarned) >= 8
+    assert sum(each.ci_low <= truth <= each.ci_high for each in unwarned) >= len(unwarned) - 5
 
 
 def test_where_violations_are_frequent_most_rollouts_are_plain():
@@ -63,15 +63,15 @@ def test_where_violations_are_frequent_most_rollouts_are_plain():
 
 
 def test_plain_rollouts_from_before_count():
-    """12 runs beside 2,000 plain rollouts each, of which the violating ones are handed over.
+    """20 runs beside 2,000 plain rollouts each, of which the violating ones are handed over.
 
-    The mean against the truth by a t-test at level 1e-4; all intervals but four, as above.
+    The mean against the truth by a t-test at level 1e-4; all intervals but five, as above.
     """
     system = MissesInARow(2)
     truth, problem = probability(system, 0.01), problem_of(system, 0.01)
     method = MixtureSampling(learning_stages=2, rollouts=60, final_rollouts=60, seed=4)
     found = []
-    for number in range(12):
+    for number in range(20):
         seeds = np.random.SeedSequence(number)
         scored = sample(watching(problem), proposal=PemProposal(), count=2_000, seeds=seeds)
         row = np.flatnonzero(scored.violated)
@@ -85,4 +85,4 @@ def test_plain_rollouts_from_before_count():
     ratio = np.array([each.probability for each in found]) / truth
     assert ratio.std() < 1.1 / np.sqrt(2_000 * truth)
     assert stats.ttest_1samp(ratio, 1.0).pvalue > 1e-4
-    assert sum(each.ci_low <= truth <= each.ci_high for each in found) >= 8
+    assert sum(each.ci_low <= truth <= each.ci_high for each in found) >= 15

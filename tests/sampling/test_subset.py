@@ -103,7 +103,7 @@ def test_what_moves_nothing_is_seldom_chosen():
 
 @pytest.mark.parametrize("count", [40, 100])
 def test_runs_have_no_bias_however_small_they_are(count):
-    """300 runs with levels found once; |z| < 4 fails one time in 16,000."""
+    """500 runs with levels found once; |z| < 4 fails one time in 16,000."""
     simulator, pem = ToySimulator(initial_gap=3, states=12), ToyPem(at_zero=2.5)
     exact = toy_probability_by_recursion(simulator, pem)
     problem = toy_problem_of(simulator, pem)
@@ -112,7 +112,7 @@ def test_runs_have_no_bias_however_small_they_are(count):
     )
     assert len(prepared.levels) >= 2
     assert spent > 200
-    generators = [np.random.default_rng([7, number]) for number in range(300)]
+    generators = [np.random.default_rng([7, number]) for number in range(500)]
     runs = prepared.carry_out(problem, count=count, generators=generators)
     found = np.exp([run.log_probability for run in runs])
     error = found.std(ddof=1) / math.sqrt(found.size)
@@ -206,13 +206,13 @@ def seeded_probability(simulator, pem):
 
 
 def test_seeds_of_a_simulator_s_own_generator_change_too():
-    """|z| < 4 over 120 runs fails one time in 16,000."""
+    """|z| < 4 over 200 runs fails one time in 16,000."""
     simulator, pem = Seeded(initial_gap=4, states=12), ToyPem(at_zero=2.5)
     exact = seeded_probability(simulator, pem)
     problem = toy_problem_of(simulator, pem)
     prepared, _ = SubsetSimulation().prepare(problem, count=300, generator=np.random.default_rng(1))
     assert len(prepared.levels) >= 2
-    generators = [np.random.default_rng([9, number]) for number in range(120)]
+    generators = [np.random.default_rng([9, number]) for number in range(200)]
     runs = prepared.carry_out(problem, count=100, generators=generators)
     found = np.exp([run.log_probability for run in runs])
     error = found.std(ddof=1) / math.sqrt(found.size)
@@ -257,7 +257,7 @@ def test_no_level_lies_below_what_violates():
     config = ExperimentConfig(method="subset", spec="always[0,1] (distance >= 0)")
     problem = build_experiment(config, simulator=jump, pem=ConstantPem(0.5)).problem
     found: list[float] = []
-    for pilot in range(60):
+    for pilot in range(100):
         prepared, _ = SubsetSimulation().prepare(
             problem, count=30, generator=np.random.default_rng(pilot)
         )

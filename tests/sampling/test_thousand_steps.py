@@ -60,7 +60,7 @@ def test_adaptive():
     assert_finite(found, stages)
 
 
-@pytest.mark.parametrize("seed", [3, 7])
+@pytest.mark.parametrize("seed", [3, 5, 7])
 def test_mixture_is_near_or_says_that_it_is_not(seed):
     """Three misses on end at any of 999 steps, 8e-7: 600 rollouts are few for so many ways.
 

@@ -30,7 +30,7 @@ def test_few_of_those_that_are_right_warn(case):
     """
     simulator, pem, memory_s = SYSTEMS[case]
     spec = f"always[0,{simulator.states - 1}] (gap >= 0.5)"
-    settings = {"spec": spec, "plan": False, "memory_s": memory_s, "measured_memory": False}
+    settings = {"spec": spec, "plan": False, "memory_s": memory_s}
     config = pemviz.ExperimentConfig(method="zero-variance", **settings)
     known = pemviz.build_experiment(config, simulator=simulator, pem=pem, twin=simulator)
     truth = math.exp(exact_log_probability(known.problem, twin=known.twin))

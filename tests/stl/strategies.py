@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pemviz.stl import formulas as fo
 
 lawful = settings(
-    max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
+    max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
 )
 NAMES = ("gap", "ego_speed", "x_1")
 BOUNDS = {"gap": (-25.0, 25.0), "ego_speed": (0.0, 40.0), "x_1": (-3.0, 8.0)}

@@ -10,7 +10,7 @@ from pemviz.stl import Agm, Classical, SmoothCumulative, parse, robustness, robu
 from . import naive
 from .strategies import BOUNDS, formula_and_rollouts, lawful, row
 
-exhaustive = settings(lawful, max_examples=200)
+exhaustive = settings(lawful, max_examples=500)
 
 
 def expected_trace(reference, formula, batch, *args):
@@ -61,7 +61,7 @@ def test_smooth_cumulative(case, beta, positive):
 def test_long_windows(states):
     """Windows of every kind of length, at one step and at many."""
     rng = np.random.default_rng(states)
-    batch = {name: rng.uniform(*BOUNDS[name], (3, states + 2)) for name in BOUNDS}
+    batch = {name: rng.uniform(*BOUNDS[name], (3, states + 5)) for name in BOUNDS}
     batch["gap"][0] = np.abs(batch["gap"][0]) * 0.9 + 0.1
     last = states - 1
     for text in (

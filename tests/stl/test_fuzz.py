@@ -61,7 +61,7 @@ def assert_only_own_errors(count, seed):
 
 
 def test_fuzz():
-    assert_only_own_errors(2_000, seed=1)
+    assert_only_own_errors(5_000, seed=1)
 
 
 @pytest.mark.slow

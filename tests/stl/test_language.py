@@ -23,7 +23,7 @@ from pemviz.stl.parsing import MAX_TEXT
 from .strategies import deep_predicates, formulas, lawful
 
 
-@settings(lawful, max_examples=200)
+@settings(lawful, max_examples=500)
 @given(formulas(4, deep_predicates))
 def test_print_parses_back(formula):
     text = str(formula)

@@ -26,7 +26,7 @@ from pemviz.stl.formulas import Eventually, Until
 from . import naive
 from .strategies import formula_and_rollouts, formula_and_tied_rollouts, lawful, rollouts, row
 
-tied = settings(lawful, max_examples=120)
+tied = settings(lawful, max_examples=300)
 BOUNDS = {"gap": (-2.0, 2.0), "ego_speed": (0.0, 2.0), "x_1": (0.0, 1.0)}
 SHARP = 2000.0
 """Of smooth-cumulative robustness: a soft minimum of hundreds is off by 0.01 at most."""
