@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pemviz.reports.terminal import summary_text
     from pemviz.runs.engine import run, run_experiment
     from pemviz.runs.experiment import Experiment, build_experiment
+    from pemviz.runs.kept_rollout import read_rollout
     from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
-    from pemviz.runs.ranked_rollout import read_rollout
     from pemviz.runs.reading import read_result
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import result_document
@@ -66,7 +66,7 @@ _HOMES = {
     "runs.engine": "run run_experiment",
     "runs.experiment": "Experiment build_experiment",
     "runs.observers": "KeptStages LeastRobust Rollout",
-    "runs.ranked_rollout": "read_rollout",
+    "runs.kept_rollout": "read_rollout",
     "runs.reading": "read_result",
     "runs.result": "RunResult",
     "runs.result_file": "result_document",

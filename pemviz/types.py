@@ -382,7 +382,7 @@ class Estimate(ShownInNotebooks):
         ess: Effective sample size: how many equally weighted violations the estimate is worth.
         pareto_k: Shape of the tail of the violations' weights, k-hat; ``None`` of too few.
         max_weight_share: Share of the estimate that the heaviest rollout carries.
-        unbiased_probability: Of rollouts alone whose proposals were fixed before they were drawn.
+        unbiased_probability: Of rollouts alone whose proposals were fixed before they were sampled.
         unbiased_std_error: Of that.
         diagnostics: What is wrong with the estimate.
         confidence: Level of the interval.

@@ -23,7 +23,7 @@ from pemviz.cli.main import main as pemviz
 from pemviz.colors import EGO, LEAD
 from pemviz.export.commonroad import EGO_ID, LEAD_ID
 from pemviz.export.motion import braking_motion
-from pemviz.runs.ranked_rollout import read_ranked_rollout
+from pemviz.runs.kept_rollout import read_kept_rollout
 
 SIZE_IN, DPI = (9.0, 3.6), 100
 SHOWN_M = (-2.0, 80.0, -2.6, 2.6)
@@ -43,7 +43,7 @@ def main() -> int:
         if code:
             return code
         scenario, _ = CommonRoadFileReader(str(path)).open()
-    motion = braking_motion(read_ranked_rollout(arguments.run, rank=1), form="commonroad")
+    motion = braking_motion(read_kept_rollout(arguments.run, rank=1), form="commonroad")
     moments = {"start": 0, "first miss": motion.missed[0], "last miss": motion.missed[-1]}
     if motion.contact is not None:
         moments["contact"] = motion.contact.step

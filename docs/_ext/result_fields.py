@@ -6,9 +6,8 @@ In place of a block ``{pemviz-result}`` stands a table for the document and for 
 from typing import Any
 
 from commands import markdown
+from result_schema import result_schema
 from sphinx.application import Sphinx
-
-from pemviz.runs.result_schema import result_schema
 
 BLOCK = "```{pemviz-result}\n```\n"
 ELSEWHERE = ("ExperimentConfig", "ScenarioConfig", "EncounterConfig", "SumoConfig")

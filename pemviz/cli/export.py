@@ -51,14 +51,14 @@ def run(words: Sequence[str]) -> int:
         check_place,
         write_rollout,
     )
-    from pemviz.runs.ranked_rollout import read_ranked_rollout  # noqa: PLC0415  as above
+    from pemviz.runs.kept_rollout import read_kept_rollout  # noqa: PLC0415  as above
 
     chosen = FORMATS[arguments.format]
     chosen.check_installed(arguments.format)
     name = f"{arguments.run.resolve().name}-rank-{arguments.rank}{chosen.endings[0]}"
     out = Path(name) if arguments.out is None else arguments.out
     paths = check_place(out, form=arguments.format, force=arguments.force)
-    rollout = read_ranked_rollout(arguments.run, rank=arguments.rank)
+    rollout = read_kept_rollout(arguments.run, rank=arguments.rank)
     write_rollout(rollout, paths, form=arguments.format)
     for path in paths:
         print(f"{arguments.format}: {path}")

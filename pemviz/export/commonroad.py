@@ -40,7 +40,7 @@ from pemviz.export.motion import (
     facts,
 )
 from pemviz.reports.escape import printable_line
-from pemviz.runs.ranked_rollout import RankedRollout
+from pemviz.runs.kept_rollout import KeptRollout
 from pemviz.simulators.braking.scenario import CAR_WIDTH_M
 
 LANELET_ID, EGO_ID, LEAD_ID, PROBLEM_ID = 1, 10, 11, 100
@@ -51,7 +51,7 @@ DECIMALS = 17
 """As many as a float64 near 1 has: the library cuts off what is beyond."""
 
 
-def commonroad_bytes(rollout: RankedRollout) -> bytes:
+def commonroad_bytes(rollout: KeptRollout) -> bytes:
     """The scenario's file.
 
     Raises:
@@ -155,7 +155,7 @@ def _planning_problem(motion: BrakingMotion) -> PlanningProblem:
     return PlanningProblem(PROBLEM_ID, _initial_state(motion.ego, dt_s=motion.dt_s), goal)
 
 
-def _comments(rollout: RankedRollout, motion: BrakingMotion) -> list[str]:
+def _comments(rollout: KeptRollout, motion: BrakingMotion) -> list[str]:
     """Facts a line each, ``name: value``; XML allows no two hyphens in a row there."""
     described = {
         **facts(rollout, motion),

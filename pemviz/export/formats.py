@@ -26,7 +26,7 @@ import numpy as np
 from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
 from pemviz.files.atomic import is_file, is_folder, write_bytes
-from pemviz.runs.ranked_rollout import PER_OUTCOME, RankedRollout
+from pemviz.runs.kept_rollout import PER_OUTCOME, KeptRollout
 
 Format = Literal["openscenario", "commonroad", "csv", "parquet"]
 INSTALL = "pip install 'pemviz[export]'"
@@ -35,7 +35,7 @@ METADATA = b"pemviz"
 """Key of a Parquet file's metadata under which the run's settings stand as JSON."""
 
 
-def columns(rollout: RankedRollout) -> dict[str, list[Any]]:
+def columns(rollout: KeptRollout) -> dict[str, list[Any]]:
     """The table's columns, ``T`` values each; ``None`` where there is none."""
     states = rollout.states
     same: dict[str, Any] = {
@@ -69,7 +69,7 @@ def columns(rollout: RankedRollout) -> dict[str, list[Any]]:
     return table
 
 
-def csv_bytes(rollout: RankedRollout) -> bytes:
+def csv_bytes(rollout: KeptRollout) -> bytes:
     """The table as CSV in UTF-8 with a header; numbers with all their digits."""
     table = columns(rollout)
     stream = io.StringIO()
@@ -87,7 +87,7 @@ def _cell(value: str | int | float | bool | None) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def parquet_bytes(rollout: RankedRollout) -> bytes:
+def parquet_bytes(rollout: KeptRollout) -> bytes:
     """The table as a Parquet file, beside it as JSON what the run was asked for."""
     import pyarrow as pa  # noqa: PLC0415  slow to import
     from pyarrow import parquet  # noqa: PLC0415
@@ -124,7 +124,7 @@ class FileFormat:
     """
 
     endings: tuple[str, ...]
-    contents: Callable[[RankedRollout, str], tuple[bytes, ...]]
+    contents: Callable[[KeptRollout, str], tuple[bytes, ...]]
     module: str | None = None
     package: str | None = None
 
@@ -139,13 +139,13 @@ class FileFormat:
             raise InputError(message)
 
 
-def _openscenario(rollout: RankedRollout, name: str) -> tuple[bytes, ...]:
+def _openscenario(rollout: KeptRollout, name: str) -> tuple[bytes, ...]:
     from pemviz.export.openscenario import openscenario_files  # noqa: PLC0415  an extra
 
     return openscenario_files(rollout, road_file=f"{name}.xodr")
 
 
-def _commonroad(rollout: RankedRollout, name: str) -> tuple[bytes, ...]:  # noqa: ARG001
+def _commonroad(rollout: KeptRollout, name: str) -> tuple[bytes, ...]:  # noqa: ARG001
     from pemviz.export.commonroad import commonroad_bytes  # noqa: PLC0415  an extra
 
     return (commonroad_bytes(rollout),)
@@ -185,7 +185,7 @@ def check_place(out: Path, *, form: Format, force: bool) -> tuple[Path, ...]:
     return paths
 
 
-def write_rollout(rollout: RankedRollout, paths: tuple[Path, ...], *, form: Format) -> None:
+def write_rollout(rollout: KeptRollout, paths: tuple[Path, ...], *, form: Format) -> None:
     """Write a rollout to paths of :func:`check_place`; each file is whole or not there.
 
     Raises:

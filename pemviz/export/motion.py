@@ -14,7 +14,7 @@ import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
 from pemviz.errors import InputError
-from pemviz.runs.ranked_rollout import RankedRollout
+from pemviz.runs.kept_rollout import KeptRollout
 from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
 from pemviz.simulators.braking.contact import CAMERA_TO_BUMPER_M, Contact, first_contact
 from pemviz.simulators.braking.scenario import EGO_LENGTH_M, scenario_signals
@@ -77,7 +77,7 @@ class BrakingMotion:
         return float(max(np.max(car.rear_m) + car.length_m for car in (self.ego, self.lead)))
 
 
-def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
+def braking_motion(rollout: KeptRollout, *, form: str) -> BrakingMotion:
     """The cars of a rollout of the shipped scenario, for a format that messages name.
 
     Raises:
@@ -110,7 +110,7 @@ def braking_motion(rollout: RankedRollout, *, form: str) -> BrakingMotion:
     )
 
 
-def description(rollout: RankedRollout, motion: BrakingMotion) -> str:
+def description(rollout: KeptRollout, motion: BrakingMotion) -> str:
     """The rollout in one line: which it is, its verdict, contact, misses."""
     verdict = "violates" if rollout.violated else "holds"
     contact = "no contact" if motion.contact is None else str(motion.contact)
@@ -122,7 +122,7 @@ def description(rollout: RankedRollout, motion: BrakingMotion) -> str:
     )
 
 
-def facts(rollout: RankedRollout, motion: BrakingMotion) -> dict[str, str]:
+def facts(rollout: KeptRollout, motion: BrakingMotion) -> dict[str, str]:
     """What a format has no words for, by name; steps and times separated by blanks."""
     contact = motion.contact
     at_s = motion.time_s[motion.missed]

@@ -25,7 +25,7 @@ from pemviz.export.motion import (
     facts,
 )
 from pemviz.reports.escape import printable_line
-from pemviz.runs.ranked_rollout import RankedRollout
+from pemviz.runs.kept_rollout import KeptRollout
 from pemviz.simulators.braking.scenario import CAR_HEIGHT_M, CAR_WIDTH_M
 
 # the library's enumerations are not of the types that its own functions ask for
@@ -43,7 +43,7 @@ TOP_SPEED_MPS, TOP_ACCELERATION_MPS2 = 70.0, 20.0
 EGO, LEAD = "Ego", "Lead"
 
 
-def openscenario_files(rollout: RankedRollout, *, road_file: str) -> tuple[bytes, bytes]:
+def openscenario_files(rollout: KeptRollout, *, road_file: str) -> tuple[bytes, bytes]:
     """The scenario, and the road beside it that it names.
 
     Raises:

@@ -35,7 +35,7 @@ FITTED_TOGETHER = (
     "Memory time and frailty were fitted together. Where all obstacles are taken as equal a memory "
     f"time is longer ({TWO_TIMES}): then it stands for both."
 )
-ALL_ALIKE = f"all obstacles taken as equal; {TWO_TIMES} beside a frailty"
+ALL_EQUAL = f"all obstacles taken as equal; {TWO_TIMES} beside a frailty"
 """Why a time that was measured is another one here than in the answer."""
 SAME = 0.01
 """What differs by less from the error model's own measured place is that of the same detector."""
@@ -173,7 +173,7 @@ def assumption_line(memory: RunMemory | None) -> str | None:
         assumed = f"A memory time of {memory.tau_s:.3g} s is an assumption"
         others.insert(0, f"{points[0.0].probability:.1g} if misses were independent")
     alike = memory.frailty == 0.0 and set(measured_s(0.0)) & set(names.values())
-    note = f" ({ALL_ALIKE})" if alike else ""
+    note = f" ({ALL_EQUAL})" if alike else ""
     worth = _worth(memory, BY_MEMORY_TIME)
     return f"{assumed}. The failure probability is {', '.join(others)}{note}.{worth}"
 

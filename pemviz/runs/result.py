@@ -207,18 +207,9 @@ class StageSummary:
     """A stage without its rollouts; see :class:`pemviz.types.StageResult`.
 
     Attributes:
-        repetition: Zero-based.
-        stage: 0 is pre-training, then the stages that learn, then the final ones.
-        kind: What the stage is for.
-        rollouts: How many it drew.
+        rollouts: How many it sampled.
         threshold: Its level of robustness; ``None`` where there is none, or where it is infinite:
             where the specification does not depend on the rollout.
-        elites: Rollouts learned from.
-        failures: Rollouts that violate.
-        probability: The stage's own importance sampling estimate.
-        log10_probability: Its decimal logarithm; ``None`` if nothing failed.
-        ess: Effective sample size of the failing weights; ``None`` if nothing failed.
-        loss: Training loss at the end of the fit [nats a step]; ``None`` without a fit.
     """
 
     repetition: Count

@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.cli.main import main
 from pemviz.export import formats
-from pemviz.runs.ranked_rollout import UNDATED, read_ranked_rollout
+from pemviz.runs.kept_rollout import UNDATED, read_kept_rollout
 from tests.comparable_results import without_digests
 
 
@@ -84,18 +84,18 @@ def test_ones_own_simulator_has_tables_alone(form, slots_run, tmp_path, capsys, 
 def test_runs_with_a_memory_have_cars_too(form, memory_run, tmp_path):
     """They keep what perception remembers as further signals."""
     pytest.importorskip(formats.FORMATS[form].module, reason="needs the extra pemviz[export]")
-    assert len(read_ranked_rollout(memory_run, rank=1).signals) == 6
+    assert len(read_kept_rollout(memory_run, rank=1).signals) == 6
     words = ["--format", form, "--out", str(tmp_path / "one.file")]
     assert main(["export", str(memory_run), *words]) == 0
 
 
 def test_a_file_is_dated_by_its_run(sample_run, tmp_path):
-    assert read_ranked_rollout(sample_run, rank=1).date == UNDATED
+    assert read_kept_rollout(sample_run, rank=1).date == UNDATED
     shutil.copytree(sample_run, tmp_path / "run")
     without_digests(tmp_path / "run")
     path = tmp_path / "run" / "result.json"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('"run_id": "sample"', '"run_id": "20261122-153400-mixture-2"'))
-    assert read_ranked_rollout(tmp_path / "run", rank=1).date.isoformat() == (
+    assert read_kept_rollout(tmp_path / "run", rank=1).date.isoformat() == (
         "2026-11-22T15:34:00+00:00"
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pemviz.cli.main import main
-from pemviz.runs.ranked_rollout import read_ranked_rollout
+from pemviz.runs.kept_rollout import read_kept_rollout
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.simulators.braking.contact import first_contact
 
@@ -17,7 +17,7 @@ EXACT_M = 1e-6
 
 def rows_of(folder, rank):
     """Gaps and speeds of the rollout as the folder keeps them."""
-    found = read_ranked_rollout(folder, rank=rank)
+    found = read_kept_rollout(folder, rank=rank)
     table = load_rollouts(folder)
     row = np.flatnonzero(
         (table["repetition"] == found.repetition) & (table["stage"] == found.stage)
@@ -66,7 +66,7 @@ def test_openscenario_comes_back(rank, sample_run, tmp_path):
     rear_m = where["Lead"] + boxes["Lead"].center.x - boxes["Lead"].boundingbox.length / 2
     check_bumpers(kept, front_m=front_m, rear_m=rear_m)
     told = dict(cars["Ego"].properties.properties)
-    missed = read_ranked_rollout(sample_run, rank=rank).detected[""]
+    missed = read_kept_rollout(sample_run, rank=rank).detected[""]
     assert [int(step) for step in told["missed_steps"].split()] == np.flatnonzero(~missed).tolist()
 
 

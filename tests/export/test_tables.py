@@ -12,7 +12,7 @@ from pyarrow import parquet
 import pemviz
 from pemviz.cli.main import main
 from pemviz.export.formats import METADATA, csv_bytes, parquet_bytes
-from pemviz.runs.ranked_rollout import read_ranked_rollout
+from pemviz.runs.kept_rollout import read_kept_rollout
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out
@@ -44,7 +44,7 @@ def test_ranks_are_those_of_the_result(changes, tmp_path):
     assert sorted(order) == list(range(len(table["violated"])))
     assert len(result.least_robust) == 20
     for rank, listed in enumerate(result.least_robust, start=1):
-        found = read_ranked_rollout(tmp_path, rank=rank)
+        found = read_kept_rollout(tmp_path, rank=rank)
         assert (found.repetition, found.stage, found.rollout) == (
             listed.repetition, listed.stage, listed.rollout
         )  # fmt: skip
@@ -56,7 +56,7 @@ def test_a_table_of_ones_own_simulator_holds_signals_rules_and_every_slot(slots_
     rollouts = load_rollouts(slots_run)
     rank = 5
     row = ranked_rows(rollouts, pemviz.read_result(slots_run).stages)[rank - 1]
-    rollout = read_ranked_rollout(slots_run, rank=rank)
+    rollout = read_kept_rollout(slots_run, rank=rank)
     rows = read_csv(csv_bytes(rollout))
     table = parquet.read_table(io.BytesIO(parquet_bytes(rollout)))
     assert table.column_names == list(rows[0])
@@ -87,7 +87,7 @@ def test_latents_stand_in_columns_of_their_own(tmp_path):
     pem = constant_pem(detection_probability=0.5)
     result = carry_out(pemviz.build_experiment(config, simulator=drift, pem=pem), tmp_path)
     first, kept = result.least_robust[0], load_rollouts(tmp_path)
-    rows = read_csv(csv_bytes(read_ranked_rollout(tmp_path, rank=1)))
+    rows = read_csv(csv_bytes(read_kept_rollout(tmp_path, rank=1)))
     start, noise = (kept[f"latents.{name}"][first.rollout] for name in ("start", "noise"))
     assert [float(row["latents.start.0"]) for row in rows] == [*start] * 17
     assert [row["latents.noise.0"] for row in rows] == [*map(repr, noise[:, 0].tolist()), ""]
@@ -100,7 +100,7 @@ def test_latents_stand_in_columns_of_their_own(tmp_path):
 
 
 def test_the_shipped_scenario_has_times(sample_run):
-    rows = read_csv(csv_bytes(read_ranked_rollout(sample_run, rank=1)))
+    rows = read_csv(csv_bytes(read_kept_rollout(sample_run, rank=1)))
     times_s = [float(row["time_s"]) for row in rows]
     np.testing.assert_allclose(times_s, 0.05 * np.arange(70), atol=1e-12)
 

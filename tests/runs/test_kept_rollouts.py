@@ -11,8 +11,8 @@ from pemviz.panel.loading import load_run
 from pemviz.reports.markdown import summary_markdown
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.kept_rollout import read_kept_rollout, read_rollout
 from pemviz.runs.observers import LeastRobust
-from pemviz.runs.ranked_rollout import read_ranked_rollout, read_rollout
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
@@ -73,11 +73,11 @@ def test_violations_and_the_least_robust_are_kept_as_they_were(folders):
 
 def test_a_rank_names_the_same_rollout(folders):
     for rank in (1, 7, 20):
-        every, few = (read_ranked_rollout(folder, rank=rank) for folder in folders.values())
+        every, few = (read_kept_rollout(folder, rank=rank) for folder in folders.values())
         assert (every.stage, every.rollout) == (few.stage, few.rollout)
         np.testing.assert_array_equal(every.signals["gap_m"], few.signals["gap_m"])
     with pytest.raises(InputError, match=r"rank = 360: must be from 1 to \d+, .* kept in"):
-        read_ranked_rollout(folders["violations"], rank=360)
+        read_kept_rollout(folders["violations"], rank=360)
 
 
 def test_the_panel_and_the_report_say_that_others_are_left_out(folders):
@@ -99,7 +99,7 @@ def test_a_table_whose_numbers_are_none_is_refused(folders, tmp_path):
     with pytest.raises(InputError, match="rollout has shape"):
         load_run(folder)
     with pytest.raises(InputError, match="rollout has shape"):
-        read_ranked_rollout(folder, rank=1)
+        read_kept_rollout(folder, rank=1)
 
 
 @pytest.mark.parametrize("name", CONFIGS)

@@ -238,7 +238,7 @@ class AutoSampling:
         self, state: AutoState, method: MixtureSampling, inner: MixtureState
     ) -> MixtureSampling:
         """Before the last stage: as many rollouts more as the answers so far ask for."""
-        found = _asked_for(
+        found = _precise_answers(
             inner.rules,
             lambda rule: method.preview(method.under_rule(inner, rule) if rule else inner),
         )
@@ -262,7 +262,7 @@ class AutoSampling:
     ) -> tuple[AutoState, StageResult]:
         """After the last stage: learned from as well, if it shows what undermines the answer."""
         method, inner = proposing.method, proposing.state
-        found = _asked_for(
+        found = _precise_answers(
             inner.rules, lambda rule: self.estimate(self.under_rule(state, rule) if rule else state)
         )
         if len(inner.frozen) > 1 or not self._is_far(found):
@@ -364,7 +364,7 @@ def _proposing_step(
     return state, replace(result, stage=result.stage + before)
 
 
-def _asked_for(
+def _precise_answers(
     rules: Sequence[str], answer: Callable[[str | None], Estimate]
 ) -> tuple[Estimate, ...]:
     """The answers that are to be precise: to any rule, and to each that a rollout has broken."""

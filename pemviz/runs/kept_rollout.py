@@ -24,7 +24,7 @@ UNDATED = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)
-class RankedRollout:
+class KeptRollout:
     """A rollout of a run with what is needed to tell about it.
 
     Attributes:
@@ -81,7 +81,7 @@ class RankedRollout:
         return began.replace(tzinfo=UTC)
 
 
-def read_ranked_rollout(folder: Path, *, rank: int) -> RankedRollout:
+def read_kept_rollout(folder: Path, *, rank: int) -> KeptRollout:
     """The rollout with a rank, from 1, of a run folder, be the run done or not.
 
     Raises:
@@ -115,13 +115,13 @@ def read_rollout(folder: Path | str, *, rank: int = 1) -> Rollout:
         rank: From 1, as the summary, ``pemviz export`` and the panel rank.
 
     Raises:
-        InputError: As :func:`read_ranked_rollout`.
+        InputError: As :func:`read_kept_rollout`.
     """
-    found = read_ranked_rollout(Path(folder), rank=rank)
+    found = read_kept_rollout(Path(folder), rank=rank)
     own, config = found.result.simulator, found.result.config
     explained = () if found.result.explanation is None else found.result.explanation.slots
-    ghosts = {slot.name for slot in explained if not slot.nominal}
-    right = {name: bits != (name in ghosts) for name, bits in found.detected.items()}
+    false_positives = {slot.name for slot in explained if not slot.nominal}
+    right = {name: bits != (name in false_positives) for name, bits in found.detected.items()}
     log_p = np.sum(list(found.log_p.values()), dtype=np.float64)
     dt_s = config.dt_s if own is None else own.dt_s
     rollout = Rollout(
@@ -142,7 +142,7 @@ def read_rollout(folder: Path | str, *, rank: int = 1) -> Rollout:
 
 def _chosen(
     table: Mapping[str, AnyArray], row: int, *, result: RunResult, rank: int
-) -> RankedRollout:
+) -> KeptRollout:
     one = {name: values[row] for name, values in table.items()}
     of_stage = (table["repetition"] == one["repetition"]) & (table["stage"] == one["stage"])
     slots = _slot_names(result, one["detected"])
@@ -151,7 +151,7 @@ def _chosen(
     )
     beside = (*PER_ROLLOUT, ROLLOUT, *PER_OUTCOME)
     signals = [n for n in table if n not in beside and not n.startswith((BROKEN, LATENTS))]
-    return RankedRollout(
+    return KeptRollout(
         result=result,
         rank=rank,
         repetition=int(one["repetition"]),

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from jsonschema import Draft202012Validator
 
+from docs._ext.result_schema import result_schema
 from examples import random_start
 from pemviz.config import EncounterConfig, ExperimentConfig, ScenarioConfig
 from pemviz.files.shipped import sample_run
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import RESULT_FILE, result_document
-from pemviz.runs.result_schema import result_schema
 from pemviz.runs.run_folder import RunStore
 from tests.runs.results import results
 
@@ -69,7 +69,7 @@ def sample():
 
 
 def test_what_is_published_is_the_schema_of_what_is_written():
-    """``python -m pemviz.runs.result_schema > docs/reference/result.schema.json`` brings it up."""
+    """``python docs/_ext/result_schema.py > docs/reference/result.schema.json`` brings it up."""
     Draft202012Validator.check_schema(SCHEMA)
     assert json.loads(PUBLISHED.read_text(encoding="utf-8")) == SCHEMA
 

@@ -1,6 +1,6 @@
 """The JSON Schema of ``result.json`` (draft 2020-12), made from the types that are written to it.
 
-``python -m pemviz.runs.result_schema`` prints it; ``docs/reference/result.schema.json`` is a copy.
+``python docs/_ext/result_schema.py`` prints it; ``docs/reference/result.schema.json`` is a copy.
 It says what this version writes. Older results lack what their version did not know.
 """
 
@@ -17,10 +17,10 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import Range, allows_none, field_docs, optional_value
 from pemviz.config.toml_files import config_table
 from pemviz.runs.rates import DistanceRate, ViolationRate
-from pemviz.runs.result import RankedRollout, RuleAnswer, RunMemory, RunResult
+from pemviz.runs.result import RankedRollout, RuleAnswer, RunMemory, RunResult, StageSummary
 from pemviz.runs.result_file import OPEN_SCHEMA, SCHEMA
 from pemviz.runs.uncertainty import UncertaintySource
-from pemviz.types import Estimate
+from pemviz.types import Estimate, StageResult
 
 Schema = dict[str, Any]
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -37,6 +37,8 @@ OPTIONAL: Mapping[type, frozenset[str]] = {
     RuleAnswer: frozenset({"measured"}),
 }
 """Fields that are left out where they are empty."""
+SUMMARY_OF: Mapping[type, type] = {StageSummary: StageResult}
+"""Types whose fields are those of another, which tells of them."""
 WHERE_THERE_IS_SOME = (
     "simulator", "rules", "per_hour", "per_km", "driven", "latents", "position_errors", "starts",
     "robustness_tail", "least_robust_by_rule",
@@ -186,7 +188,9 @@ def _words(kind: type) -> dict[str, str]:
     section = ATTRIBUTES.search(inspect.cleandoc(kind.__doc__ or ""))
     listed = ATTRIBUTE.finditer(section["lines"]) if section else ()
     told = {one["name"]: " ".join(one["words"].split()) for one in listed}
-    return {name: _plain(words) for name, words in {**told, **field_docs(kind)}.items()}
+    whole = _words(SUMMARY_OF[kind]) if kind in SUMMARY_OF else {}
+    own = {name: _plain(words) for name, words in {**told, **field_docs(kind)}.items()}
+    return {**whole, **own}
 
 
 def _plain(words: str) -> str:
