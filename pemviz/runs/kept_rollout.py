@@ -9,6 +9,7 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import ScenarioConfig
+from pemviz.config.ranges import shown
 from pemviz.errors import InputError
 from pemviz.runs.observers import Rollout
 from pemviz.runs.ranking import ranked_rows
@@ -98,8 +99,10 @@ def read_kept_rollout(folder: Path, *, rank: int) -> KeptRollout:
     except ValueError as error:
         message = f"rollouts {folder}: {error}"
         raise InputError(message) from error
-    if not 1 <= rank <= order.size:
-        message = f"rank = {rank}: must be from 1 to {order.size}, the rollouts kept in {folder}"
+    whole = isinstance(rank, int | np.integer)  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not (whole and 1 <= rank <= order.size):
+        allowed = f"must be a whole number from 1 to {order.size}, the rollouts kept in {folder}"
+        message = f"rank = {shown(rank)}: {allowed}"
         raise InputError(message)
     return _chosen(table, int(order[rank - 1]), result=result, rank=rank)
 

@@ -23,7 +23,7 @@ def refused(words, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--format", "csv", "--rank", "178"], "rank = 178: must be from 1 to 177"),
+        (["--format", "csv", "--rank", "178"], "rank = 178: must be a whole number from 1 to 177"),
         (["--format", "csv", "--rank", "0"], "rank = 0: must be a whole number, at least 1"),
         (["--format", "xml"], "--format"),
         ([], "--format"),

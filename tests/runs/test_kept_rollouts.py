@@ -76,8 +76,10 @@ def test_a_rank_names_the_same_rollout(folders):
         every, few = (read_kept_rollout(folder, rank=rank) for folder in folders.values())
         assert (every.stage, every.rollout) == (few.stage, few.rollout)
         np.testing.assert_array_equal(every.signals["gap_m"], few.signals["gap_m"])
-    with pytest.raises(InputError, match=r"rank = 360: must be from 1 to \d+, .* kept in"):
-        read_kept_rollout(folders["violations"], rank=360)
+    for rank in (360, 0, -1, 1.5, "x"):
+        words = rf"rank = {rank!r}: must be a whole number from 1 to \d+, .* kept in"
+        with pytest.raises(InputError, match=words):
+            read_kept_rollout(folders["violations"], rank=rank)
 
 
 def test_the_panel_and_the_report_say_that_others_are_left_out(folders):
