@@ -19,6 +19,7 @@ from pemviz.cli.help import HelpPage
 from pemviz.cli.main import run_command
 from pemviz.cli.parsing import parse_arguments
 from pemviz.cli.pem.collect import is_of_images
+from pemviz.cli.pem.fit import ModelChoice
 from pemviz.cli.record_arguments import parse as parse_record
 from pemviz.errors import EXIT_FAILED, ConfigError, PemError
 from pemviz.pem.data.columns import read_columns
@@ -26,7 +27,6 @@ from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.recognise import CollectedFormat, Recognised, recognise
 from pemviz.pem.data.table import OUTCOME_COLUMN, RATE_COLUMN, TIME_COLUMN
-from pemviz.pem.fitting.fit import ModelKind
 
 PAGE = HelpPage(
     text="""
@@ -106,7 +106,7 @@ class AssessArguments:
     """CSV with the columns frame, width_px, height_px; YOLO text needs it."""
     missing_is_empty: bool = False
     """Take a frame without detections file as one in which nothing was detected."""
-    model: ModelKind = "gb-raw"
+    model: ModelChoice = "best"
     """Kind of error model, as of 'pemviz pem fit'."""
     no_position_errors: bool = False
     """Leave out errors of reported positions, where the files have them."""
@@ -297,21 +297,37 @@ class _Assessment:
         """Fit error model and memory; gives the options that have a run use them."""
         if not table.has_places:
             return self._fit_memory_alone(table)
-        arguments, folds = self.arguments, min(FOLDS, table.sequences)
-        common = ["--table", str(table.path), "--model", arguments.model]
-        seeded = ["--seed", str(arguments.seed)]
-        own = str(arguments.out / OWN)
-        if folds >= 2:
-            folded = ["--folds", str(folds), *seeded]
-            self._command("pem", "fit", *common, "--memory", *folded, "--out", own)
+        if table.sequences >= 2:
+            folds = min(FOLDS, table.sequences)
+            self._fit_kind(table, self.arguments.model, "--memory", folds=folds)
         else:
             _note("misses over time: unknown, no obstacle is followed through two sequences")
-            self._command("pem", "fit", *common, "--folds", "0", *seeded, "--out", own)
+            self._fit_one_by_one(table)
         _note(
             "how far refits of the model differ is left out, as no ensemble is fitted here: "
             "pemviz pem fit --members 20, before the other, shows it"
         )
-        return ["--pem", own]
+        return ["--pem", str(self.arguments.out / OWN)]
+
+    def _fit_one_by_one(self, table: _Collected) -> None:
+        """Fit the error model where memory cannot be asked for."""
+        model = self.arguments.model
+        if model != "best":
+            self._fit_kind(table, model, folds=0)
+        elif table.sequences:
+            _note("lr is fitted: no other sequence tells whether gb-raw remembers single cars")
+            self._fit_kind(table, "lr", folds=0)
+        else:
+            try:
+                self._fit_kind(table, model, folds=FOLDS)
+            except PemError as error:  # too few misses to part
+                _note(f"lr is fitted, gb-raw cannot be judged: {error}")
+                self._fit_kind(table, "lr", folds=0)
+
+    def _fit_kind(self, table: _Collected, model: ModelChoice, *words: str, folds: int) -> None:
+        given = ["--table", str(table.path), "--model", model, *words, "--folds", str(folds)]
+        seeded = ["--seed", str(self.arguments.seed)]
+        self._command("pem", "fit", *given, *seeded, "--out", str(self.arguments.out / OWN))
 
     def _fit_memory_alone(self, table: _Collected) -> list[str]:
         """Where files know no places: a shipped model's misses, with the memory of this detector's.

@@ -110,6 +110,36 @@ def test_the_commands_follow_from_what_the_files_hold(
     assert "--claim-below" in commands[-1]
 
 
+@pytest.mark.parametrize(
+    ("write", "options", "given", "expected"),
+    [
+        (write_tracking, {}, [], [["best", "4"]]),
+        (write_tracking, {"sequences": 1}, [], [["lr", "0"]]),
+        (write_kitti, {}, [], [["best", "5"]]),
+        (write_kitti, {"frames": 2}, [], [["best", "5"], ["lr", "0"]]),
+        (write_kitti, {}, ["--model", "gb-raw"], [["gb-raw", "0"]]),
+    ],
+)
+def test_the_kind_of_model_is_chosen_where_files_tell(
+    planned, tmp_path, capsys, monkeypatch, write, options, given, expected
+):
+    read = assess.run_command
+
+    def fit_few(name, words):
+        too_few = words[0] == "fit" and "best" in words and "frames" in options
+        return (run_command if too_few else read)(name, words)
+
+    monkeypatch.setattr(assess, "run_command", fit_few)
+    files = write(tmp_path / "files", **options)
+    words = assess_words(files, tmp_path / "out", "--no-position-errors", *given)
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    fits = [words for words in printed(shown.out) if words[:2] == ["pem", "fit"]]
+    kinds = [[words[words.index(name) + 1] for name in ("--model", "--folds")] for words in fits]
+    assert kinds == expected
+    assert ("lr is fitted" in shown.err) == (kinds[-1][0] == "lr")
+
+
 def write_argoverse(folder):
     paths = test_argoverse.files(folder)
     return paths["labels"], paths["detections"], []

@@ -1,8 +1,10 @@
 """The commands of `pemviz pem` end to end on made-up data, and their one-line refusals."""
 
+import itertools
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tyro
 
@@ -189,6 +191,48 @@ def test_memory_is_fitted_kept_in_the_card_and_told(tmp_path, capsys):
     assert "## Memory of misses" in card
     assert "| misses in a row |" in card
     assert "Weights" in card
+
+
+def table_of_distance(path, p_missed):
+    """Tracks that keep their distance each, missed with the probability that it gives."""
+    random = np.random.default_rng(3)
+    lines = ["sequence,frame,track,distance,detected"]
+    for sequence, track in itertools.product(range(10), range(8)):
+        distance = random.uniform(0.0, 60.0)
+        for frame in range(12):
+            detected = int(random.random() >= p_missed(distance))
+            lines.append(f"{sequence},{frame},{track},{distance + random.normal():.2f},{detected}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [False, True])
+@pytest.mark.parametrize(
+    ("p_missed", "best"),
+    [
+        (lambda distance: 1.0 / (1.0 + np.exp(3.0 - distance / 20.0)), "lr"),
+        (lambda distance: 0.6 if 20.0 < distance < 40.0 else 0.02, "gb-raw"),
+    ],
+)
+def test_best_is_what_predicts_other_sequences(tmp_path, capsys, p_missed, best, memory):
+    given = {
+        "table": table_of_distance(tmp_path / "t.csv", p_missed),
+        "features": "distance",
+        "rate_hz": 10.0,
+        "memory": memory,
+    }
+    out = {kind: tmp_path / f"{kind}.safetensors" for kind in ("best", "gb-raw", "lr")}
+    assert fit.run(fit.FitArguments(**given, model="best", out=out["best"])) == 0
+    assert f"; {best} is fitted" in capsys.readouterr().out
+    for kind in ("gb-raw", "lr"):
+        assert fit.run(fit.FitArguments(**given, model=kind, out=out[kind])) == 0
+        doubts = capsys.readouterr().err
+        assert ("lr predicts rows that it was not fitted to better" in doubts) == (
+            kind == "gb-raw" and best == "lr"
+        )
+    same = {kind: load_pem(str(path)).digest for kind, path in out.items()}
+    assert [kind for kind in ("gb-raw", "lr") if same[kind] == same["best"]] == [best]
 
 
 def test_independence_is_judged_in_one_command(tmp_path, capsys):

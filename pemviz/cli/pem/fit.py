@@ -1,10 +1,11 @@
 """``pemviz pem fit``."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,9 +19,11 @@ from pemviz.cli.pem.checks import (
     feature_names,
     tell_doubts,
 )
+from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.cli.pem.memory import (
-    fitted_memory,
+    cross_fitted,
     judged,
+    memory_beside,
     memory_in_words,
     write_memory_page,
 )
@@ -34,6 +37,7 @@ from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
 from pemviz.pem.models.predictive_check import verdict_lines
+from pemviz.processes import usable_cpus
 
 PAGE = HelpPage(
     text="""
@@ -47,7 +51,7 @@ Data
                          simulator of your own
 Model
   --model NAME           guess-mu, lr, ml-nn, b-nn as in the paper; gb-paper,
-                         gb-raw: boosted trees
+                         gb-raw: boosted trees; best: of gb-raw and lr
   --memory               also how misses follow each other (needs tracks)
   --position-errors      how far off it says a car is, not misses; --tails
   --members 20           also refits of it, beside it; not with --memory
@@ -61,6 +65,10 @@ Examples
 More: --help OPTION, such as --help members; --help-all for everything""",
 )
 
+CANDIDATES: tuple[ModelKind, ...] = ("gb-raw", "lr")
+"""What ``best`` chooses from: what fits any shape, and what cannot remember single tracks."""
+ModelChoice = ModelKind | Literal["best"]
+
 
 @dataclass(frozen=True)
 class FitArguments:
@@ -71,9 +79,10 @@ class FitArguments:
     .feather), or a folder with salient_inputs.txt and salient_labels.txt."""
     out: Path
     """File to write, ending in .safetensors."""
-    model: ModelKind = "ml-nn"
+    model: ModelChoice = "ml-nn"
     """Kind of model: guess-mu, lr, ml-nn and b-nn as in the paper (b-nn needs pyro-ppl);
-    gb-paper and gb-raw are boosted trees on the paper's inputs or on all columns."""
+    gb-paper and gb-raw are boosted trees on the paper's inputs or on all columns; best is gb-raw or
+    lr, whichever predicts better what it was not fitted to (the lower bce over the folds)."""
     seed: int = 0
     """Seed of everything random (0 or more)."""
     members: int = 0
@@ -123,11 +132,11 @@ def run(arguments: FitArguments) -> int:
     table = load_table(arguments.table, features=feature_names(arguments.features))
     name = arguments.name or arguments.out.stem
     provenance = Provenance(data=arguments.data or table.source, licence=arguments.licence)
-    scores = _scores(table, arguments=arguments)
-    with progress_bar(f"fit {arguments.model}") as tell:
+    model, scores = _scored(table, arguments=arguments)
+    with progress_bar(f"fit {model}") as tell:
         pem = fit_pem(
             table,
-            model=arguments.model,
+            model=model,
             seed=arguments.seed,
             name=name,
             provenance=provenance,
@@ -138,7 +147,7 @@ def run(arguments: FitArguments) -> int:
         with progress_bar(f"fit {arguments.members} members") as tell:
             ensemble = fit_ensemble(
                 table,
-                model=arguments.model,
+                model=model,
                 members=arguments.members,
                 seed=arguments.seed,
                 name=f"{name}{ENSEMBLE_ENDING}",
@@ -151,7 +160,8 @@ def run(arguments: FitArguments) -> int:
 
 def _fit_with_memory(arguments: FitArguments) -> int:
     # scikit-learn and scipy take seconds to import
-    from pemviz.pem.judging.memory_report import with_memory  # noqa: PLC0415
+    from pemviz.pem.judging.cross_validation import score  # noqa: PLC0415
+    from pemviz.pem.judging.memory_report import CrossFitted, with_memory  # noqa: PLC0415
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
     tracks = load_tracks(
@@ -161,19 +171,23 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     source = tracks.obstacles.source
     provenance = Provenance(data=arguments.data or source, licence=arguments.licence)
     name = arguments.name or arguments.out.stem
-    held_out, report = fitted_memory(
-        tracks,
-        model=arguments.model,
-        folds=arguments.folds,
-        seed=arguments.seed,
-        whole=partial(
-            fit_pem,
-            model=arguments.model,
+    fits: dict[ModelKind, CrossFitted] = {
+        kind: cross_fitted(
+            tracks,
+            model=kind,
+            folds=arguments.folds,
             seed=arguments.seed,
-            name=name,
-            provenance=provenance,
-        ),
-    )
+            whole=partial(
+                fit_pem, model=kind, seed=arguments.seed, name=name, provenance=provenance
+            ),
+        )
+        for kind in _compared(arguments.model)
+    }
+    bce: dict[ModelKind, float] = {
+        kind: score(fit.logit, tracks.detected).bce for kind, fit in fits.items()
+    }
+    held_out = fits[_chosen(arguments.model, bce)]
+    report = memory_beside(tracks, held_out, seed=arguments.seed)
     assert held_out.whole is not None  # noqa: S101  asked for above
     with progress_bar("predictive checks") as tell:
         checked = check_held_out(
@@ -226,25 +240,61 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError("tails: only with position errors")
     if arguments.memory and arguments.folds < 2:
         raise PemError(f"folds is {arguments.folds}, allowed with memory: 2 or more")
+    if arguments.model == "best" and arguments.folds < 2:
+        raise PemError(f"folds is {arguments.folds}, allowed with model best: 2 or more")
     check_rate_hz(arguments.rate_hz)
     if arguments.folds < 0 or arguments.folds == 1:
         raise PemError(f"folds is {arguments.folds}, allowed: 0, or 2 or more")
 
 
-def _scores(table: SalientTable, *, arguments: FitArguments) -> dict[str, float]:
-    if arguments.folds == 0:
-        return {}
-    from pemviz.pem.judging.cross_validation import card_scores, cross_validate  # noqa: PLC0415 (scikit-learn)
+def _compared(choice: ModelChoice) -> tuple[ModelKind, ...]:
+    """Kinds that are fitted to folds: with the chosen one that which it must not fall behind."""
+    if choice == "best":
+        return CANDIDATES
+    return (choice,) if choice in QUICK_MODELS else (choice, "lr")
 
-    with progress_bar(f"{arguments.folds}-fold cross-validation") as tell:
-        evaluation = cross_validate(
-            table,
-            model=arguments.model,
-            folds=arguments.folds,
-            seed=arguments.seed,
-            on_progress=tell,
-        )
-    return card_scores(evaluation)
+
+def _chosen(choice: ModelChoice, bce: Mapping[ModelKind, float]) -> ModelKind:
+    """The kind to fit, by the cross-entropies [nats] of held-out rows, with what they say."""
+    least = min(bce, key=lambda kind: bce[kind])
+    if choice == "best":
+        each = ", ".join(f"{kind} {value:.4f}" for kind, value in bce.items())
+        print(f"bce of rows that were not fitted: {each}; {least} is fitted")
+        return least
+    if least != choice:
+        tell_doubts([
+            f"{least} predicts rows that it was not fitted to better than {choice} (bce "
+            f"{bce[least]:.4f} and {bce[choice]:.4f}): {choice} takes single obstacles for a rule, "
+            f"and near or rare states may be far off; fit --model {least}, or best"
+        ])  # fmt: skip
+    return choice
+
+
+def _scored(table: SalientTable, *, arguments: FitArguments) -> tuple[ModelKind, dict[str, float]]:
+    """The kind to fit and its scores over folds, none without folds."""
+    if arguments.folds == 0:
+        assert arguments.model != "best"  # noqa: S101  refused before
+        return arguments.model, {}
+    # scikit-learn takes seconds to import
+    from pemviz.pem.judging.cross_validation import (  # noqa: PLC0415
+        ModelEvaluation,
+        card_scores,
+        cross_validate,
+    )
+
+    evaluations: dict[ModelKind, ModelEvaluation] = {}
+    for kind in _compared(arguments.model):
+        with progress_bar(f"{kind}: {arguments.folds}-fold cross-validation") as tell:
+            evaluations[kind] = cross_validate(
+                table,
+                model=kind,
+                folds=arguments.folds,
+                seed=arguments.seed,
+                workers=1 if kind in QUICK_MODELS else usable_cpus(),
+                on_progress=tell,
+            )
+    model = _chosen(arguments.model, {kind: one.bce[0] for kind, one in evaluations.items()})
+    return model, card_scores(evaluations[model])
 
 
 def _write(pem: StoredPem, path: Path) -> None:

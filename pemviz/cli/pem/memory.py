@@ -75,9 +75,10 @@ def run(arguments: MemoryArguments) -> int:
         features=feature_names(arguments.features),
     )
     tell_doubts(tracks.doubts)
-    held_out, report = fitted_memory(
+    held_out = cross_fitted(
         tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
     )
+    report = memory_beside(tracks, held_out, seed=arguments.seed)
     check = judged(tracks, held_out, report)
     if arguments.out is not None:
         write_memory_page(report, check, arguments.out, title=tracks.obstacles.source)
@@ -89,25 +90,13 @@ def run(arguments: MemoryArguments) -> int:
     return 0
 
 
-def fitted_memory(
-    tracks: TrackTable, *, model: ModelKind, folds: int, seed: int, whole: "Fit | None" = None
-) -> "tuple[CrossFitted, MemoryReport]":
-    """Cross-fitted P(missed) of tracks and the memory of misses beside it, with progress.
-
-    ``whole`` fits the model of all tracks at the same time.
-    """
-    # scikit-learn and scipy's distributions take seconds to import
-    from pemviz.pem.judging.memory_report import fit_report  # noqa: PLC0415
-
-    held_out = cross_fitted(tracks, model=model, folds=folds, seed=seed, whole=whole)
-    with progress_bar("memory of misses") as tell:
-        return held_out, fit_report(tracks, held_out, seed=seed, on_progress=tell)
-
-
 def cross_fitted(
     tracks: TrackTable, *, model: ModelKind, folds: int, seed: int, whole: "Fit | None" = None
 ) -> "CrossFitted":
-    """Cross-fitted P(missed) of tracks, with progress; see :func:`fitted_memory`."""
+    """Cross-fitted P(missed) of tracks, with progress.
+
+    ``whole`` fits the model of all tracks at the same time.
+    """
     from pemviz.pem.judging.memory_report import cross_fit  # noqa: PLC0415  scikit-learn
 
     with progress_bar("folds of sequences") as tell:
@@ -120,6 +109,15 @@ def cross_fitted(
             workers=1 if model in QUICK_MODELS else usable_cpus(),
             on_progress=tell,
         )
+
+
+def memory_beside(tracks: TrackTable, held_out: "CrossFitted", *, seed: int) -> MemoryReport:
+    """The memory of misses beside cross-fitted P(missed), with progress."""
+    # scipy's distributions take seconds to import
+    from pemviz.pem.judging.memory_report import fit_report  # noqa: PLC0415
+
+    with progress_bar("memory of misses") as tell:
+        return fit_report(tracks, held_out, seed=seed, on_progress=tell)
 
 
 def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:
