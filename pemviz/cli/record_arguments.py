@@ -11,7 +11,7 @@ from pemviz.cli.help import HelpPage
 from pemviz.cli.parsing import Processes, parse_arguments
 from pemviz.config import WITHOUT_EFFECT, ExperimentConfig, StartChoice
 from pemviz.config.ranges import Range, check_value
-from pemviz.config.rule_words import GateLimits, read_limits, read_rules, read_starts
+from pemviz.config.rule_words import Bound, GateLimits, read_limits, read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
 from pemviz.config.topics import TOPICS
 from pemviz.errors import ConfigError
@@ -38,7 +38,7 @@ Certainty
   --seed N            also --repetitions N, and --reference, an exact answer
 Output
   --out DIR           where run folders go; --verbose, --json: what is printed
-  --fail-above P      exit code 1 if the 95 % bound is above; --junit, --summary
+  --fail-above P      exit code 1 if the bound is above: --fail-on; --summary
   --resume RUN        go on with a run that was stopped
 Examples
   pemviz record --preset cut-in --pem rrc
@@ -99,6 +99,10 @@ class RecordArguments:
     fail_above: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.
     NAME=P for one of several rules."""
+    fail_on: Bound = "sampling"
+    """Which upper bound --fail-above judges: sampling, of the 95 % interval, which takes the error
+    model and its memory of misses as they are; or act-on, the upper end to act on, with all that
+    leaves the answer open: code 4 where that is not known."""
     summary: Path | None = None
     """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
     junit: Path | None = None
@@ -128,12 +132,12 @@ class RecordArguments:
 
     @property
     def limits(self) -> GateLimits:
-        """What ``fail_above`` asks for.
+        """What ``fail_above`` and ``fail_on`` ask for.
 
         Raises:
             ConfigError: Something is no probability, or names no rule.
         """
-        return read_limits(self.fail_above, rules=self.experiment.rules)
+        return read_limits(self.fail_above, rules=self.experiment.rules, bound=self.fail_on)
 
 
 def parse(words: Sequence[str]) -> RecordArguments:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.settings import Rule
@@ -50,6 +50,10 @@ def rules_text(rules: Sequence[Rule]) -> str:
     return "\n".join(f"{rule.name} = {rule.formula}" for rule in rules)
 
 
+Bound = Literal["sampling", "act-on"]
+"""Upper end that a gate judges: of the 95 % interval, or of all that leaves an answer open."""
+
+
 @dataclass(frozen=True)
 class GateLimits:
     """Probabilities that must not be exceeded.
@@ -57,13 +61,17 @@ class GateLimits:
     Attributes:
         overall: By the violation of the specification; ``None``: no limit.
         rules: By that of single rules, by name.
+        bound: Which upper end must not exceed them.
     """
 
     overall: float | None = None
     rules: Mapping[str, float] = field(default_factory=dict[str, float])
+    bound: Bound = "sampling"
 
 
-def read_limits(words: Sequence[str], *, rules: Sequence[Rule]) -> GateLimits:
+def read_limits(
+    words: Sequence[str], *, rules: Sequence[Rule], bound: Bound = "sampling"
+) -> GateLimits:
     """What ``P`` and ``NAME=P`` ask for; of several for the same the last holds.
 
     Raises:
@@ -83,4 +91,4 @@ def read_limits(words: Sequence[str], *, rules: Sequence[Rule]) -> GateLimits:
             raise ConfigError(message) from error
         probability = Annotated[float, Range(low=0.0, low_open=True, high=1.0)]
         check_value(name="fail-above", value=found[name], annotation=probability)
-    return GateLimits(found.pop("", None), found)
+    return GateLimits(found.pop("", None), found, bound)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pemviz.config.rule_words import GateLimits
+from pemviz.config.rule_words import Bound, GateLimits
 from pemviz.errors import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -13,6 +13,8 @@ from pemviz.errors import (
     UndecidedError,
 )
 from pemviz.reports.estimate_words import bound_text
+from pemviz.reports.headline_words import range_words
+from pemviz.runs.answers import answers
 from pemviz.runs.result import RunResult
 from pemviz.runs.uncertainty import reference_diagnostics, run_diagnostics
 from pemviz.sampling.estimates.trust import interval_caveats
@@ -54,11 +56,12 @@ def decide_limits(result: RunResult, *, limits: GateLimits) -> GateDecision | No
     """The gate's decision on a run and its rules; ``None`` without a limit."""
     decisions: list[GateDecision] = []
     if limits.overall is not None:
-        decisions.append(decide_run(result, limit=limits.overall))
+        decisions.append(decide_run(result, limit=limits.overall, bound=limits.bound))
     if result.status != "done" and limits.rules:
         decisions = [decide_run(result, limit=1.0)]
     else:
-        decisions += [_of_rule(result, name, limit) for name, limit in limits.rules.items()]
+        each = limits.rules.items()
+        decisions += [_of_rule(result, name, limit, bound=limits.bound) for name, limit in each]
     if not decisions:
         return None
     worst = max(decisions, key=lambda decision: SEVERITY.index(decision.outcome))
@@ -66,17 +69,20 @@ def decide_limits(result: RunResult, *, limits: GateLimits) -> GateDecision | No
     return replace(worst, limit=limits.overall, reason="; ".join(decisive))
 
 
-def _of_rule(result: RunResult, name: str, limit: float) -> GateDecision:
+def _of_rule(
+    result: RunResult, name: str, limit: float, *, bound: Bound = "sampling"
+) -> GateDecision:
     """What the reference says against the run it says against each of its rules."""
     for rule in result.rules:
         if rule.name == name:
             known = (*rule.estimate.diagnostics, *reference_diagnostics(result))
             decision = decide_gate(rule.estimate, limit=limit, diagnostics=known)
+            decision = _beside_range(decision, result, rule=name, limit=limit, bound=bound)
             return replace(decision, reason=f"rule {name}: {decision.reason}")
     return GateDecision("undecided", limit, f"rule {name}: no estimate", EXIT_GATE_UNDECIDED)
 
 
-def decide_run(result: RunResult, *, limit: float) -> GateDecision:
+def decide_run(result: RunResult, *, limit: float, bound: Bound = "sampling") -> GateDecision:
     """The gate's decision on a run; one that did not finish decides nothing."""
     if result.status != "done":
         message = result.message or "what was finished is in the run folder"
@@ -84,7 +90,31 @@ def decide_run(result: RunResult, *, limit: float) -> GateDecision:
         return GateDecision("undecided", limit, words, EXIT_FAILED)
     if result.estimate is None:
         return GateDecision("undecided", limit, "there is no estimate", EXIT_GATE_UNDECIDED)
-    return decide_gate(result.estimate, limit=limit, diagnostics=run_diagnostics(result))
+    decision = decide_gate(result.estimate, limit=limit, diagnostics=run_diagnostics(result))
+    return _beside_range(decision, result, rule=None, limit=limit, bound=bound)
+
+
+def _beside_range(
+    decision: GateDecision, result: RunResult, *, rule: str | None, limit: float, bound: Bound
+) -> GateDecision:
+    """A pass, judged by the upper end to act on if that is asked for; else said beside it."""
+    if decision.outcome != "passed":
+        return decision
+    found = next(
+        one.open for one in answers(result) if (None if one.rule is None else one.rule.name) == rule
+    )
+    act_on = ", ".join(range_words(found, result))
+    act_on = f"{act_on[0].lower()}{act_on[1:]}"
+    is_below = found.high is not None and found.high <= limit
+    if bound == "sampling":
+        beside = "" if is_below else f"; but {act_on}"
+        return replace(decision, reason=f"{decision.reason}{beside}")
+    outcome: GateOutcome = "passed" if is_below else "tripped"
+    if found.high is None:
+        outcome = "undecided"
+    else:
+        act_on += f", which is {'not ' if is_below else ''}above {limit:g}"
+    return GateDecision(outcome, limit, act_on, EXIT_CODES[outcome])
 
 
 def raise_if_undecided(result: RunResult) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 import pemviz
 from pemviz.config import METHODS
-from pemviz.config.rule_words import GateLimits
+from pemviz.config.rule_words import Bound, GateLimits
 from pemviz.reports.gate import (
     EXIT_CODES,
     decide_gate,
@@ -19,7 +19,8 @@ from pemviz.reports.gate import (
     decide_run,
     raise_if_undecided,
 )
-from pemviz.runs.result import RuleAnswer
+from pemviz.runs.result import MeasuredAnswer, RuleAnswer, RunMemory
+from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.estimates.diagnostics import (
     AGREEMENT_ERRORS,
@@ -223,3 +224,51 @@ def test_a_program_is_ended_with_the_reason_where_nothing_may_be_decided():
     ):
         with pytest.raises(pemviz.UndecidedError, match=words):
             raise_if_undecided(one)
+
+
+def measured(high):
+    return MeasuredAnswer("RRC", CurvePoint(0.25, 1e-14, low=2e-15, high=high, ess=400.0))
+
+
+def without_other_doubts(run):
+    return replace(run, data_bound=None, pem_interval=None, model_classes=(), reference=None)
+
+
+def remembering(*, high, **changes):
+    """A sound answer of independent misses whose memory of misses, as measured, is looked at."""
+    memory = RunMemory(tau_s=0.0, measured=(measured(high),))
+    return result(estimate(method="mixture"), memory=memory, **changes)
+
+
+@pytest.mark.parametrize(
+    ("run", "limit", "codes", "words"),
+    [
+        (remembering(high=2e-10), LIMIT, (0, 0), "not above"),
+        (remembering(high=2e-8), LIMIT, (0, 1), "at most 2.0e-08"),
+        (remembering(high=2e-8), 1e-15, (1, 1), "is above"),
+        (result(estimate(method="mixture"), memory=None), LIMIT, (0, 4), "not known"),
+        (result(estimate(method="adaptive")), LIMIT, (4, 4), "a quarter to a third"),
+        (remembering(high=2e-10, status="failed"), LIMIT, (3, 3), "the run failed"),
+    ],
+)
+def test_a_gate_judges_all_that_leaves_the_answer_open_if_asked(run, limit, codes, words):
+    run = without_other_doubts(run)
+    on_sampling, on_all = (
+        decide_limits(run, limits=GateLimits(limit, bound=bound)) for bound in get_args(Bound)
+    )
+    assert (on_sampling.exit_code, on_all.exit_code) == codes
+    assert words in on_all.reason
+    differ = codes[0] == 0 != codes[1]
+    assert ("but to act on" in on_sampling.reason) == differ  # a pass never hides it
+
+
+def test_a_rule_is_judged_by_its_own_upper_end():
+    run = remembering(high=2e-8)
+    one = RuleAnswer(
+        "gap", "always (gap >= 2)", estimate(method="mixture"), measured=(measured(2e-10),)
+    )
+    run = replace(without_other_doubts(run), rules=(one,))
+    for limits, code in (({"gap": LIMIT}, 0), ({"gap": 1e-10}, 1)):
+        decided = decide_limits(run, limits=GateLimits(None, limits, "act-on"))
+        assert decided.exit_code == code
+        assert decided.reason.startswith("rule gap: to act on: at most 2.0e-10")
