@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pemviz.runs.kept_rollout import read_rollout
     from pemviz.runs.observers import KeptStages, LeastRobust, Rollout
     from pemviz.runs.reading import read_result
+    from pemviz.runs.replay import Replayed, replay
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import result_document
     from pemviz.runs.run_folder import RunStore
@@ -68,6 +69,7 @@ _HOMES = {
     "runs.observers": "KeptStages LeastRobust Rollout",
     "runs.kept_rollout": "read_rollout",
     "runs.reading": "read_result",
+    "runs.replay": "Replayed replay",
     "runs.result": "RunResult",
     "runs.result_file": "result_document",
     "runs.run_folder": "RunStore",
@@ -96,12 +98,12 @@ __all__ = [
     "GymnasiumEpisodes", "GymnasiumSimulator", "GymnasiumSlotEpisodes", "GymnasiumSlotSimulator",
     "HiddenProperty", "InputError", "Kalman", "KeptStages", "Known", "LatentCounts",
     "LatentSimulator", "Latents", "LeastRobust", "MethodDescription", "NamesStarts", "PemvizError",
-    "Proposal", "Ramp", "Road", "Rollout", "RolloutBatch", "RunError", "RunResult", "RunStore",
-    "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator", "Slot",
-    "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState", "UndecidedError",
-    "__version__", "build_experiment", "named_detections_action", "quantised_start",
-    "raise_if_undecided", "read_result", "read_rollout", "result_document", "run",
-    "run_experiment", "side_by_side", "summary_text", "tracked",
+    "Proposal", "Ramp", "Replayed", "Road", "Rollout", "RolloutBatch", "RunError", "RunResult",
+    "RunStore", "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator",
+    "Slot", "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState",
+    "UndecidedError", "__version__", "build_experiment", "named_detections_action",
+    "quantised_start", "raise_if_undecided", "read_result", "read_rollout", "replay",
+    "result_document", "run", "run_experiment", "side_by_side", "summary_text", "tracked",
 ]  # fmt: skip
 
 

@@ -44,12 +44,20 @@ class RunError(PemvizError):
     Attributes:
         traceback_text: Where other people's code raised something, from their frames on, as Python
             prints it; empty if it is no fault of such code's.
+        rollout: Repetition, stage and number of the one rollout at which a run failed; ``None``
+            where it was not at one, or at several.
     """
 
-    def __init__(self, message: str = "", *, traceback_text: str = "") -> None:
-        """Keep both."""
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        traceback_text: str = "",
+        rollout: tuple[int, int, int] | None = None,
+    ) -> None:
+        """Keep all three."""
         super().__init__(message)
-        self.traceback_text = traceback_text
+        self.traceback_text, self.rollout = traceback_text, rollout
 
 
 class UndecidedError(PemvizError):

@@ -159,7 +159,7 @@ def of_no_rollouts() -> Generator[None, None, None]:
     try:
         yield
     except SimulationError as error:
-        error.rollouts = None
+        error.rollouts, error.ahead = None, 0
         raise
 
 

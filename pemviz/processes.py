@@ -1,12 +1,14 @@
 """Processes that work for this one: one pool, with what every user of it needs."""
 
 import contextlib
+import faulthandler
 import multiprocessing
 import os
 import shutil
 import signal
+import sys
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -15,6 +17,7 @@ from concurrent.futures import (
     wait,
 )
 from functools import partial
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -155,6 +158,78 @@ class ProcessPool:
 def _called(call: bytes) -> Any:
     function, arguments, named = cast(Any, ForkingPickler).loads(call)
     return function(*arguments, **named)
+
+
+class ProcessLostError(Exception):
+    """A process ended before its work, or said nothing for too long; the words say which."""
+
+
+def told_by_process(
+    function: Callable[..., None], *arguments: Any, limit_s: float | None = None
+) -> Iterator[Any]:
+    """What a module's function tells in a process of its own, one thing after the other.
+
+    Nothing that the function does there, an abort included, reaches this process; what is not
+    looked at any more is ended.
+
+    Args:
+        function: Called with what takes a thing to tell, then the arguments; all can be pickled.
+        arguments: Of the function.
+        limit_s: After the first thing no other may take longer [s]; ``None``: any time.
+
+    Raises:
+        ProcessLostError: The process ended, or took too long.
+        RunError: What goes to it cannot be pickled.
+    """
+    try:
+        call = bytes(ForkingPickler.dumps((function, arguments)))
+    except Exception as error:
+        why = f"pickling what a process is to work on raises {exception_text(error)}"
+        raise RunError(why) from error
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=_tell_all, args=(call, writer))
+    with one_thread_each(), signals_held_back():
+        process.start()
+    writer.close()  # so that the end of the process is the end of what it tells
+    try:
+        begun = False
+        while True:
+            if begun and not reader.poll(limit_s):
+                raise ProcessLostError(f"nothing came of it for {limit_s:g} s")
+            told = reader.recv()
+            if told is None:
+                return
+            begun = True
+            yield told[0]
+    except EOFError:
+        process.join()
+        raise ProcessLostError(_ending(process.exitcode or 0)) from None
+    finally:
+        process.kill()
+        process.join()
+        reader.close()
+
+
+def _tell_all(call: bytes, writer: Connection) -> None:
+    end_with_parent()
+    if sys.__stderr__ is not None:
+        faulthandler.enable(sys.__stderr__)  # what aborts says where
+    function, arguments = cast(Any, ForkingPickler).loads(call)
+
+    def tell(thing: Any) -> None:
+        writer.send((thing,))
+
+    function(tell, *arguments)
+    writer.send(None)
+
+
+def _ending(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"the process ended with exit code {exit_code}"
+    with contextlib.suppress(ValueError):  # of a signal that has no name here
+        return f"the process was ended by {signal.Signals(-exit_code).name}"
+    return f"the process was ended by signal {-exit_code}"
 
 
 def map_in_processes(

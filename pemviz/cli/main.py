@@ -63,6 +63,11 @@ COMMANDS = {
         "show a run's recording in rerun's viewer",
         "pemviz.recording.open:OpenArguments",
     ),
+    "replay": Command(
+        "pemviz.cli.replay",
+        "one rollout of a run again, alone: what does the simulator do",
+        "pemviz.cli.replay:ReplayArguments",
+    ),
     "report": Command(
         "pemviz.cli.report",
         "one page for a safety case from runs and sweeps",

@@ -52,8 +52,11 @@ def record(arguments: RecordArguments) -> int:
             raise
         if arguments.json:
             print(json.dumps(result_document(ending.result), allow_nan=False))
-        message = f"{error}; {_how_to_go_on(arguments, folder)}"
-        raise RunError(message, traceback_text=error.traceback_text) from error
+        message = f"{error}; {_how_to_repeat(error, arguments, folder)}"
+        message += _how_to_go_on(arguments, folder)
+        raise RunError(
+            message, traceback_text=error.traceback_text, rollout=error.rollout
+        ) from error
     if arguments.json:
         print(json.dumps(result_document(result), allow_nan=False))
     else:
@@ -96,6 +99,17 @@ class _Ending:
     def notify(self, event: Event) -> None:
         if isinstance(event, RunFailed):
             self.result = event.result
+
+
+def _how_to_repeat(error: RunError, arguments: RecordArguments, folder: Path) -> str:
+    """The command that repeats the rollout at which a run failed; empty where it is not known."""
+    if error.rollout is None or not (folder / "config.toml").exists():
+        return ""
+    repetition, stage, rollout = error.rollout
+    words = ["pemviz", "replay", str(folder), "--stage", f"{stage}", "--rollout", f"{rollout}"]
+    words += ["--repetition", f"{repetition}"] if repetition else []
+    words += ["--allow-python"] * arguments.allow_python
+    return f"see that rollout alone with: {shlex.join(words)}; "
 
 
 def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:

@@ -212,14 +212,22 @@ class _Runner:
         """Notify the observers; the error is for the caller."""
         ours = error is self._observers_error or isinstance(error, PemvizError)
         text = getattr(error, "traceback_text", "") if ours else faults.traceback_of(error)
-        message = self._placed(error)
+        rollout, message = self._rollout_of(error), self._placed(error)
         result = self._keep(replace(self._interpreted.result, status="failed", message=message))
         event = events.RunFailed(message=message, result=result)
         for observer in self._observers:
             # the observer that failed the run may fail again; the others must still hear
             with contextlib.suppress(OSError, ValueError, PemvizError):
                 self._notify(event, observer)
-        return RunError(message, traceback_text=text)
+        return RunError(message, traceback_text=text, rollout=rollout)
+
+    def _rollout_of(self, error: BaseException) -> tuple[int, int, int] | None:
+        """Repetition, stage and number of the rollout that an error names, if it names one."""
+        rollouts = error.rollouts if isinstance(error, faults.SimulationError) else None
+        if self._at is None or rollouts is None or len(rollouts) != 1:
+            return None
+        repetition, stage = self._at
+        return repetition, stage + getattr(error, "ahead", 0), rollouts[0]
 
     def _placed(self, error: BaseException) -> str:
         """What went wrong, and in which stage."""

@@ -257,28 +257,33 @@ def carry_out(
         RunError: The run failed.
     """
     with run_lock(folder):
-        _check_resumable(experiment, folder)
+        check_resumable(experiment, folder)
         archive = Archive(folder, experiment.declared.signals)
-        folding, problem = experiment.folding, experiment.problem
-        finished = archive if folding is None else folding.finished(archive)
-
-        def judged(repetition: int, stage: int) -> FinishedStage | None:
-            """A finished stage with each rule's verdict, which follows from its rollouts."""
-            found = finished(repetition, stage)
-            if found is None or not problem.rules:
-                return found
-            by_rule = rule_scores(problem.rules, found.scored.rollouts)
-            return replace(found, scored=replace(found.scored, **by_rule))
-
         store = RunStore(folder, archive=archive, others=(RECORDING,))
         return run(
-            replace(experiment, problem=replace(problem, finished=judged)),
+            going_on(experiment, archive),
             run_id=folder.name,
             observers=[_DoneLast(store, recorders), *observers],
             should_stop=should_stop,
             workers=workers,
             scheduler=scheduler,
         )
+
+
+def going_on(experiment: Experiment, archive: Archive) -> Experiment:
+    """The experiment with the stages that an archive has."""
+    folding, problem = experiment.folding, experiment.problem
+    finished = archive if folding is None else folding.finished(archive)
+
+    def judged(repetition: int, stage: int) -> FinishedStage | None:
+        """A finished stage with each rule's verdict, which follows from its rollouts."""
+        found = finished(repetition, stage)
+        if found is None or not problem.rules:
+            return found
+        by_rule = rule_scores(problem.rules, found.scored.rollouts)
+        return replace(found, scored=replace(found.scored, **by_rule))
+
+    return replace(experiment, problem=replace(problem, finished=judged))
 
 
 @contextlib.contextmanager
@@ -296,8 +301,12 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
         yield
 
 
-def _check_resumable(experiment: Experiment, folder: Path) -> None:
-    """Refuse to go on with other settings or another error model; warn of other versions."""
+def check_resumable(experiment: Experiment, folder: Path) -> None:
+    """Refuse to go on with other settings or another error model; warn of other versions.
+
+    Raises:
+        InputError: The folder's run was begun with these.
+    """
     result = result_left(folder)
     if result is None:
         if has_result(folder):

@@ -122,7 +122,7 @@ def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
     script = tmp_path / "pemviz.bash"
     script.write_text(capsys.readouterr().out)
     typed = [
-        ("pemviz re", {"record", "report", "reproduce"}),
+        ("pemviz re", {"record", "replay", "report", "reproduce"}),
         ("pemviz record --fra", {"--frailty"}),
         ("pemviz record --metric a", {"agm"}),
         ("pemviz pem collect --format mot", {"mot", "motchallenge"}),

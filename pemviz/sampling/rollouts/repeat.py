@@ -72,11 +72,7 @@ def repeat_some(
     """
     some = scored.take(_chosen(scored))
     once = some.rollouts
-    task = BatchTask(
-        _GivenOutcomes(once.detected),
-        np.full(once.detected.shape, 0.5),
-        None if once.latents is None else _as_normals(once.latents),
-    )
+    task = task_of(once.detected, once.latents)
     with of_no_rollouts():
         again = in_time(
             problem, lambda: next(problem.run_batches(problem.simulator, problem.pem, iter([task])))
@@ -89,6 +85,12 @@ def repeat_some(
     verdicts = score(problem.without_rules(), replace(once, signals=signals)).violated
     differing = int(np.count_nonzero(verdicts != some.violated))
     return replace(found, on_twin=once.count, twin_differing=differing)
+
+
+def task_of(detected: BoolArray, latents: Latents | None) -> BatchTask:
+    """Rollouts with outcomes ``[N, T-1]`` that are given, and latents."""
+    normals = None if latents is None else _as_normals(latents)
+    return BatchTask(_GivenOutcomes(detected), np.full(detected.shape, 0.5), normals)
 
 
 @dataclass(frozen=True)

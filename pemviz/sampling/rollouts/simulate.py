@@ -1,6 +1,6 @@
 """Rollouts: the scenario stepped with outcomes and latents sampled from a proposal."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NoReturn, Protocol, runtime_checkable
 
@@ -20,6 +20,8 @@ from pemviz.types import MovesLatents, Proposal, RolloutBatch, Simulator, StateB
 
 SPAWN_KEY, CHOICE_KEY = 2**32 - 1, 2**32 - 2
 """Of the children of a stage's seeds that latents come from; others count from 0."""
+Tell = Callable[[int, StateBatch, BoolArray, FloatArray | None], None]
+"""Gets what a step is given: the outcome's index, states ``[N]``, outcomes ``[N]`` and noise."""
 
 
 @runtime_checkable
@@ -161,12 +163,13 @@ def simulate(
     proposal: Proposal,
     uniforms: FloatArray,
     normals: StandardNormals | None = None,
+    tell: Tell | None = None,
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
     These are independent uniforms ``[N, T-1]`` from [0, 1); a step misses where its own is below
     the probability of a miss under the proposal. Of environments side by side, as many rollouts
-    are carried out at a time as there are.
+    are carried out at a time as there are. What each step is given goes to ``tell``.
 
     Raises:
         SimulationError: A part of the user's raises something, or gives what does not fit.
@@ -183,6 +186,7 @@ def simulate(
                     proposal=of_rows(proposal, rows),
                     uniforms=uniforms[rows],
                     normals=None if normals is None else normals.take(rows),
+                    tell=tell,
                 )
             parts.append(part)
         return RolloutBatch.concatenate(parts)
@@ -196,6 +200,7 @@ def simulate(
         proposal=proposal,
         uniforms=uniforms.T,
         track=track,
+        tell=tell,
     )
 
 
@@ -207,6 +212,7 @@ def _roll_out(
     proposal: Proposal,
     uniforms: FloatArray,
     track: LatentTrack | None = None,
+    tell: Tell | None = None,
 ) -> RolloutBatch:
     """Rollouts from initial ``states [N]`` for ``uniforms [T-1, N]``, latents by ``track``."""
     steps, step = uniforms.shape[0], 0
@@ -221,6 +227,8 @@ def _roll_out(
             under_proposal[step] = proposal.logit(states, under_pem[step])
             detected[step] = uniforms[step] >= expit(-under_proposal[step])
             noise = None if track is None else track.noise(step, states, detected[step], proposal)
+            if tell is not None:
+                tell(step, states, detected[step], noise)
             states = stepped(simulator, states, detected[step], noise)
             signals.record(step + 1, states.signals)
             memory.record(step + 1, kept_with_rollouts(states.memory))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.faults import of_no_rollouts
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.types import ScoredRollouts
@@ -48,7 +49,8 @@ def explore(problem: Problem, *, rollouts: int, seed: int, repetition: int) -> E
     seeds = np.random.SeedSequence(seed, spawn_key=(repetition, SPAWN_KEY)).spawn(RUNS + 1)
     first, *others = (np.random.default_rng(one) for one in seeds)
     prepared, simulated = SubsetSimulation().prepare(problem, count=rollouts, generator=first)
-    runs = prepared.carry_out(problem, count=rollouts, generators=others)
+    with of_no_rollouts():  # of the stage that comes after
+        runs = prepared.carry_out(problem, count=rollouts, generators=others)
     simulated += sum(run.simulated for run in runs)
     log_probability = np.array([run.log_probability for run in runs])
     parts: list[ScoredRollouts] = []
