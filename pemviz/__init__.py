@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.component import Known
     from pemviz.sampling.state.hidden import HiddenProperty
+    from pemviz.simulators.detector_loop import DetectorEpisodes, DetectorInTheLoop
     from pemviz.simulators.episodic import EpisodicSimulator, side_by_side
     from pemviz.simulators.gymnasium_adapter import (
         GymnasiumEpisodes,
@@ -76,6 +77,7 @@ _HOMES = {
     "sampling.description": "MethodDescription",
     "sampling.state.component": "Known",
     "sampling.state.hidden": "HiddenProperty",
+    "simulators.detector_loop": "DetectorEpisodes DetectorInTheLoop",
     "simulators.episodic": "EpisodicSimulator side_by_side",
     "simulators.gymnasium_adapter": (
         "GymnasiumEpisodes GymnasiumSimulator GymnasiumSlotEpisodes GymnasiumSlotSimulator "
@@ -93,7 +95,8 @@ _HOMES = {
 """Which names, by the module that defines them."""
 
 __all__ = [
-    "AlphaBeta", "BoolArray", "ConfigError", "DetectorModel", "DrawsScene", "DrawsTracks",
+    "AlphaBeta", "BoolArray", "ConfigError", "DetectorEpisodes",
+    "DetectorInTheLoop", "DetectorModel", "DrawsScene", "DrawsTracks",
     "EpisodicSimulator", "Estimate", "Experiment", "ExperimentConfig", "FloatArray",
     "GymnasiumEpisodes", "GymnasiumSimulator", "GymnasiumSlotEpisodes", "GymnasiumSlotSimulator",
     "HiddenProperty", "InputError", "Kalman", "KeptStages", "Known", "LatentCounts",

@@ -127,11 +127,18 @@ def failures_of(
     deciding = np.ones(rollouts.detected.shape, dtype=np.bool_)
     if features is not None:
         deciding &= features.reacts(states)
-    for over in (VIOLATED, CERTAIN):
-        if over in states.memory:
-            deciding &= ~np.asarray(states.memory[over], dtype=np.bool_)
+    if VIOLATED in states.memory:
+        deciding &= ~np.asarray(states.memory[VIOLATED], dtype=np.bool_)
+    if CERTAIN in states.memory:  # as of what is absent; an observed miss decides all the same
+        deciding &= ~(np.asarray(states.memory[CERTAIN], dtype=np.bool_) & rollouts.detected)
     log_weight = rollouts.log_weight
     return Failures(rollouts, chosen, np.exp(log_weight - log_sum(log_weight)), deciding)
+
+
+def observed(failures: Failures) -> bool:
+    """Whether outcomes were not sampled: misses are certain, as those of the detector itself."""
+    certain = failures.rollouts.decision_states().memory.get(CERTAIN)
+    return certain is not None and bool(np.any(failures.missed & certain))
 
 
 def misses_by_distance(failures: Failures, *, edges: Sequence[float]) -> tuple[BandMisses, ...]:

@@ -20,6 +20,7 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.folding import Folding
 from pemviz.sampling.state.composed import ComposedSimulator, own_features, property_in
 from pemviz.sampling.state.visibility import Visibility
+from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 from pemviz.types import StageResult
 
 BAND_WIDTH_M = 2.0
@@ -164,6 +165,7 @@ def explain(
     elif tau_s > 0.0:
         remembered = outcomes.RememberedOutcomes.of(rollouts, tau_s=tau_s, dt_s=dt_s)
     labels = [one.label for one in properties if one.label]
+    labels += [DETECTOR_ITSELF] if causes.observed(failures) else []
     memory = None
     if remembered is not None and remembered.tau_s > 0.0:
         memory = sensitivity.memory_sensitivity(

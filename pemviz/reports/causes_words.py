@@ -18,6 +18,7 @@ SHOWN_CHAINS = 8
 STRIP_MARGIN_S = 0.1
 """Before the first miss of a chain, and after the last."""
 FEW = 1e-3
+CERTAINLY = 1.0 - 1e-12
 """Smaller probabilities are written with an exponent."""
 START_DIGITS = 3
 SHIFTED_STARTS = 2
@@ -57,10 +58,11 @@ def burst_lines(explanation: Explanation) -> list[str]:
         frames, at = bursts.frames.median, bursts.begins_gap_m
         begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
         likely = bursts.start if bursts.again is None else bursts.whole
+        chance = f", which has the probability {_probability(likely)} by itself"
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
-            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on, which "
-            f"has the probability {_probability(likely)} by itself"
+            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on"
+            f"{'' if likely > CERTAINLY else chance}"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]
     if memory is not None:
@@ -125,6 +127,8 @@ def _spread(spread: Spread, digits: int) -> str:
 
 
 def _likely(bursts: Bursts) -> str:
+    if bursts.start > CERTAINLY:  # observed, not sampled
+        return "not known of observed outcomes"
     started = f"starting it has a probability of {_probability(bursts.start)}"
     if bursts.again is None:
         return started

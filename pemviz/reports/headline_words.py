@@ -14,6 +14,7 @@ from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.runs.answers import Answer, OpenRange, answers
 from pemviz.runs.result import MeasuredAnswer, RunMemory, RunResult
 from pemviz.runs.uncertainty import SourceKind, ends_of
+from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 
 IMPOSSIBLE = "cannot be broken here"
 BECAUSE = (
@@ -100,6 +101,10 @@ def _with_memory(memory: RunMemory) -> str:
 def _given(result: RunResult) -> str:
     """What the probability takes for granted."""
     beside = estimates.beyond_default_text(result)
+    if result.is_of_detector_itself:
+        return (
+            f"with the {DETECTOR_ITSELF} on rendered images{f'; with {beside}' if beside else ''}"
+        )
     return f"if error model {result.pem.name} is right{f'; with {beside}' if beside else ''}"
 
 

@@ -21,6 +21,7 @@ from pemviz.sampling.bursts.curve import (
 )
 
 MEMORY_TITLE = "Misses that follow each other"
+OF_DETECTOR_ITSELF = "as the detector itself said of the rendered images, without an error model"
 NOT_LOOKED_AT = (
     "How far the assumption on how misses follow each other changes the answer was not looked at "
     "in this run: pemviz record --memory-curve does. On video misses come in bursts."

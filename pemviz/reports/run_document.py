@@ -148,11 +148,14 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
     called = estimates.interval_name(estimate, caveats=caveats)
     count = len(result.config.rules)  # the headline's answer is to one rule, these are to any
     of_any = f", any of {count} rules" if count else ""
+    misses = memory_words.memory_text(result.memory)
+    if result.is_of_detector_itself:
+        misses = memory_words.OF_DETECTOR_ITSELF
     rows = [
         (f"probability of a violation{of_any}", estimates.probability_text(estimate)),
         ("log10", number_text(estimate.log10_probability, digits=4)),
         (f"{called}{of_any}", estimates.interval_text(estimate, caveats=caveats)),
-        ("misses", memory_words.memory_text(result.memory)),
+        ("misses", misses),
         (f"range over refits{of_any}", estimates.model_range_text(result.pem_interval)),
     ]
     if result.reference is not None:
@@ -178,6 +181,8 @@ def _given_section(result: RunResult) -> Section:
         f"{result.pem.name} learned from {estimates.data_text(result.pem)}",
         f"misses {memory_words.memory_text(result.memory)}",
     ]
+    if result.is_of_detector_itself:
+        lines = [f"misses {memory_words.OF_DETECTOR_ITSELF}"]
     if config.scenario.tracker != NO_TRACKER:
         lines.append(f"tracker between perception and controller: {config.scenario.tracker}")
     if result.position_errors is not None:
@@ -244,8 +249,10 @@ def _rates(result: RunResult) -> Section | None:
     return Section("rates", table.name, brief, full)
 
 
-def _memory(result: RunResult) -> Section:
+def _memory(result: RunResult) -> Section | None:
     """By how much each assumption changes the answer, and the answer along both axes."""
+    if result.is_of_detector_itself:
+        return None
     memory, title = result.memory, memory_words.MEMORY_TITLE
     checked = tuple(map(Paragraph, memory_words.check_lines(memory)))
     lines = [Paragraph(line, "strong") for line in memory_words.assumption_lines(memory)]

@@ -1,10 +1,12 @@
 """The simulator of an experiment with what is known about it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 from pemviz.config import CLIENTS, ExperimentConfig
 from pemviz.errors import ConfigError
+from pemviz.faults import refusing
 from pemviz.pem import load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
 from pemviz.sampling.back_end import GAP, BackEnd, SlotFeatures, StepFeatures, TrackFeatures
@@ -16,6 +18,7 @@ from pemviz.sampling.slots import turns_of
 from pemviz.simulators.braking.scenario import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
+from pemviz.simulators.detector_loop import DetectorItself, detecting
 from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
 from pemviz.simulators.latents import LatentSimulator, latent_counts
@@ -33,6 +36,7 @@ SUMO_BATCH_ROLLOUTS = 512
 OWN_BATCH_ROLLOUTS = 500
 MOST_ROLLOUTS = 10_000_000
 """Final rollouts that are weighted, or all kept: 4 GB a million of 100 states."""
+DETECTOR_KNOWS = "simulator {!r} has the detector itself in the loop, which knows how it misses"
 FIT_ANYWHERE = "use mixture, with {check} as an independent check"
 
 
@@ -127,6 +131,10 @@ def own_back_end(
     if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
         simulator = side_by_side(simulator)
     given: Any = simulator
+    loop = detecting(given)
+    if loop is not None:
+        with refusing():
+            loop.try_detector()
     check_simulator(given)
     where = f"twin of simulator {given.name!r}"
     if twin is not None:
@@ -165,6 +173,25 @@ def _shape_of(simulator: Any) -> tuple[object, ...]:
 
 def _single_outcome(simulator: Simulator | SlotSimulator) -> Simulator:
     return UnrolledSimulator(simulator) if isinstance(simulator, SlotSimulator) else simulator
+
+
+def observed_outcomes(
+    config: ExperimentConfig, back_end: BackEnd, *, given: object, hidden: Sequence[object]
+) -> DetectorItself | None:
+    """What stands in the error model's place where the detector itself is in the loop.
+
+    Raises:
+        ConfigError: It is, and there is an error model beside it, or something that belongs to one.
+    """
+    loop = detecting(back_end.simulator)
+    if loop is None:
+        return None
+    settings = {"memory_s": config.memory_s, "frailty": config.frailty, "hidden": hidden}
+    for name, value in {"pem": given, **settings}.items():
+        if value is not None and value != () and not isinstance(value, DetectorItself):
+            why = DETECTOR_KNOWS.format(back_end.simulator.name)
+            raise ConfigError(f"{name}: {why}; leave it out, or give the scenario alone")
+    return loop.pem
 
 
 def with_choices(
@@ -217,7 +244,10 @@ def check_method_fits(
     if episodic(back_end.simulator) is not None:
         kept = f"goes on from kept states, and simulator {name!r} is episodic"
         lacking |= {"twin": kept, "restarts": kept}
-    if back_end.farthest_m is None:
+    if detecting(back_end.simulator) is not None:
+        observed = f"samples outcomes, and simulator {name!r} has the detector itself in the loop"
+        lacking |= {"twin": observed, "restarts": observed, "gap": observed}
+    elif back_end.farthest_m is None:
         lacking["gap"] = f"needs the gap, and simulator {name!r} has no signal {GAP!r}"
     elif turns_of(back_end.simulator) > 1:
         lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
@@ -227,6 +257,8 @@ def check_method_fits(
         if need in described.needs:
             fits = FIT_ANYWHERE.format(check=check)
             raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
+    if config.memory_curve and detecting(back_end.simulator) is not None:
+        raise ConfigError(f"memory_curve = true: {DETECTOR_KNOWS.format(name)}")
     if config.memory_curve and turns_of(back_end.simulator) > 1:
         raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
     if config.reference and "twin" in lacking:

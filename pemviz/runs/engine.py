@@ -33,6 +33,7 @@ from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
 from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
+from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.own_randomness import fixed_randomness
 from pemviz.types import Estimate, ScoredRollouts, StageResult
@@ -43,6 +44,9 @@ LATENTS = "beside perception, independent standard normals that the simulator ma
 ONE_COURSE = (
     "what the simulator samples at random of its own is the same in every rollout, as it states: "
     "the answer is for this one course of it"
+)
+OBSERVED = (
+    "the detector itself is in the loop, and says of rendered images what it would say on the road"
 )
 INDEPENDENT = "misses are independent of each other given the state"
 BOUNDED = "metric agm, which ranks rollouts and no more, counts what is beyond a bound as the bound"
@@ -356,7 +360,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
         simulator=own_system(experiment),
-        memory=memory_of(pem),
+        memory=None if pem.name == DETECTOR_ITSELF else memory_of(pem),
         latents=latent_counts(experiment.problem.simulator) or None,
         position_errors=None
         if errors is None
@@ -392,6 +396,8 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
         names = ", ".join(slot.name for slot in slots)
         first = f"perception reports something or nothing, at every step, for {names}{alone}"
     memory = memory_of(experiment.pem)
+    if experiment.pem.name == DETECTOR_ITSELF:
+        return (OBSERVED, *(other for other in others if other != OWN_SYSTEM_ASSUMPTIONS[-1]))
     if memory.is_independent:
         return (first, INDEPENDENT, *others)
     tau_s, frailty = memory.tau_s, memory.frailty

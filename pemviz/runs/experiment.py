@@ -34,6 +34,7 @@ from pemviz.sampling.state.composed import as_member, composed, properties_of_me
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.zero_variance.method import require_unsafe
 from pemviz.simulators.check import latent_warnings
+from pemviz.simulators.detector_loop import detecting
 from pemviz.simulators.episodic import EpisodicSimulator
 from pemviz.simulators.latents import LatentSimulator
 from pemviz.simulators.slots import SlotSimulator, UnrolledSimulator
@@ -131,7 +132,8 @@ def build_experiment(
         simulator: A system of your own instead of the one that ``config`` names. It is tried
             out on whole rollouts, so that what is wrong with it shows here.
         pem: A detector model of your own, anything with ``logit(salient)``, instead of the
-            one that ``config`` names; for a simulator with slots also one for each by name.
+            one that ``config`` names; for a simulator with slots also one for each by name. None
+            where the detector itself is in the loop (:class:`pemviz.DetectorInTheLoop`).
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
             thousands of states costs it little) for method zero-variance and the reference.
         features: What proposals look at instead of what the simulator offers: for one of your own
@@ -149,13 +151,16 @@ def build_experiment(
             its protocol.
     """
     own = None if simulator is None else back_ends.own_back_end(simulator, twin=twin)
-    config, named, back_end = _named_parts(config, own, pem, allow_python=allow_python)
+    config, named, back_end = _named_parts(
+        config, own, pem, allow_python=allow_python, hidden=hidden
+    )
     back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     _check_hidden(config, back_end, hidden)
     check_salient_names(named, back_end.simulator)
     memory, left_out = _memory(config, named, back_end)
     back_ends.check_method_fits(config, back_end, frailty=memory.frailty)
-    ensemble = ensemble_of(config.pem) if pem is None else None
+    observed = detecting(back_end.simulator) is not None
+    ensemble = ensemble_of(config.pem) if pem is None and not observed else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
     simulator = back_end.simulator
     warnings = (*latent_warnings(simulator), *_error_model_warnings(model, simulator), *left_out)
@@ -206,6 +211,8 @@ def _memory(
     models = list({id(model): model for model in every}.values())
     owned = {model.name: own for model in models if (own := memory_of(model)) is not None}
     memory = Memory(tau_s=config.assumed_memory_s)
+    if detecting(back_end.simulator) is not None:
+        return Memory(), ()
     if len(models) == 1:
         memory = owned.get(models[0].name, memory)
     if config.memory_s is not None:
@@ -246,6 +253,7 @@ def _named_parts(
     pem: DetectorModel | Mapping[str, DetectorModel] | None,
     *,
     allow_python: bool,
+    hidden: Sequence[object],
 ) -> tuple[ExperimentConfig, Pem | Mapping[str, Pem], BackEnd]:
     """The user's own parts, or those that ``config`` names; it then names what is used."""
     own_pem: Pem | Mapping[str, Pem] | None = None
@@ -264,10 +272,14 @@ def _named_parts(
     else:
         config = with_own_rules(config)
     config.validate()
-    model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
     if own is not None:
         back_ends.check_measures(config)
-    return config, model, own or back_ends.build_back_end(config)
+    back_end = own or back_ends.build_back_end(config)
+    observed = back_ends.observed_outcomes(config, back_end, given=pem, hidden=hidden)
+    if observed is not None:
+        return replace(config, pem=observed.name), observed, back_end
+    model = load_pem(config.pem, allow_python=allow_python) if own_pem is None else own_pem
+    return config, model, back_end
 
 
 def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.slots import single_model
 from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
 from pemviz.sampling.zero_variance.reference import Reference
+from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 from pemviz.types import Estimate, ShownInNotebooks, StageKind
 
 RunStatus = Literal["done", "stopped", "failed"]
@@ -343,3 +344,8 @@ class RunResult(ShownInNotebooks):
     warnings: tuple[str, ...] = ()
     timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])
     message: str | None = None
+
+    @property
+    def is_of_detector_itself(self) -> bool:
+        """Whether outcomes are what the detector itself said, without an error model."""
+        return self.pem.name == DETECTOR_ITSELF

@@ -123,6 +123,8 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
             note="",
             narrowed_by="nothing is left to narrow",
         )
+    if result.is_of_detector_itself:  # nothing of an error model is taken for granted
+        return
     name, interval = f"refits of {result.pem.name}", result.pem_interval
     if interval is None:
         yield UncertaintySource(

@@ -18,9 +18,10 @@ from pemviz.config.ranges import described
 from pemviz.errors import ConfigError, RunError
 from pemviz.faults import SimulationError, blame
 from pemviz.latents import NO_LATENTS, LatentCounts
+from pemviz.simulators.detector_loop import detecting
 from pemviz.simulators.latents import within
 from pemviz.simulators.slots import Slot
-from pemviz.types import Signal, SimulatorFacts, StateBatch
+from pemviz.types import CERTAIN, Signal, SimulatorFacts, StateBatch
 
 EPISODE = "episode_"
 """Memory: which episode a rollout is; not kept with rollouts."""
@@ -251,7 +252,10 @@ class SideBySide:
             for signal in self.signals
         }
         step = np.array(running.step, dtype=np.int64)
-        return StateBatch(step=step, signals=signals, memory={EPISODE: running.episodes.copy()})
+        memory: dict[str, AnyArray] = {EPISODE: running.episodes.copy()}
+        if detecting(self.example) is not None:
+            memory[CERTAIN] = np.ones(len(running.values), dtype=np.bool_)
+        return StateBatch(step=step, signals=signals, memory=memory)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -335,6 +335,11 @@ class GymnasiumEpisodes(GymnasiumAdapter):
         answer = self.environment.step(self.action_of(outcome))
         return self.observe(answer[0]), bool(answer[2] or answer[3])
 
+    def render(self) -> AnyArray:
+        """What the environment renders of its present state."""
+        environment: Any = self.environment
+        return environment.render()
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GymnasiumSlotEpisodes(GymnasiumSlots, GymnasiumEpisodes):

@@ -21,7 +21,8 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from pemviz.arrays import BoolArray, FloatArray
+from pemviz.arrays import FloatArray
+from pemviz.boxes import iou
 from studies.detector_in_the_loop.camera import HEIGHT_PX, WIDTH_PX
 from studies.detector_in_the_loop.render import Images
 
@@ -143,22 +144,11 @@ class Detector:
 def suppressed(box_px: FloatArray, score: FloatArray) -> FloatArray:
     """Scores ``[N, D]`` that descend, 0 where a better box ``[N, D, 4]`` overlaps too much."""
     kept = score.copy()
-    overlaps = overlap_of(box_px, box_px)
+    overlaps = iou(box_px, box_px)
     for place in range(1, score.shape[1]):
         worse = (overlaps[:, place, :place] > MOST_OVERLAP) & (kept[:, :place] > 0.0)
         kept[worse.any(axis=1), place] = 0.0
     return kept
-
-
-def overlap_of(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Intersection over union of boxes ``[N, A, 4]`` and ``[N, B, 4]``, ``[N, A, B]``."""
-    one, other = first[:, :, None], second[:, None]
-    wide = np.minimum(one[..., 2], other[..., 2]) - np.maximum(one[..., 0], other[..., 0])
-    tall = np.minimum(one[..., 3], other[..., 3]) - np.maximum(one[..., 1], other[..., 1])
-    both = wide.clip(0.0) * tall.clip(0.0)
-    areas = [(b[..., 2] - b[..., 0]) * (b[..., 3] - b[..., 1]) for b in (one, other)]
-    union = areas[0] + areas[1] - both
-    return np.divide(both, union, out=np.zeros_like(both), where=union > 0.0)
 
 
 def save_network(network: Network, path: Path, *, threshold: float) -> None:
@@ -192,34 +182,3 @@ def ready(network: Network) -> Network:
             layer[0] = fuse_conv_bn_eval(layer[0], layer[1])  # pyright: ignore[reportArgumentType]
             layer[1] = nn.Identity()
     return folded.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-
-
-def matched(
-    labelled_px: FloatArray,
-    visible: BoolArray,
-    found: Detections,
-    *,
-    threshold: float,
-    above: float,
-) -> BoolArray:
-    """Which cars ``[N, K]`` are detected, as ``pemviz pem collect --iou-above`` says.
-
-    Each detection whose score is at least ``threshold`` belongs to one car at most, and the sum of
-    overlaps is as large as it can be. Where every car's best detection is another one, that is
-    it; the few others are assigned by pemviz itself.
-    """
-    from pemviz.pem.data.matching import assign_boxes  # noqa: PLC0415  slow, and seldom needed
-
-    overlaps = overlap_of(labelled_px, found.box_px)
-    overlaps *= visible[..., None] & (found.score >= threshold)[:, None, :]
-    best, partner = overlaps.max(axis=2), overlaps.argmax(axis=2)
-    hits = best > above
-    wanted = np.where(best > 0.0, partner, -1 - np.arange(partner.shape[1]))
-    ordered = np.sort(wanted, axis=1)
-    for row in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
-        cars, kept = np.flatnonzero(visible[row]), found.score[row] >= threshold
-        boxes = [tuple(box) for box in labelled_px[row, cars]]
-        others = [tuple(box) for box in found.box_px[row, kept]]
-        assigned, _ = assign_boxes(boxes, others)
-        hits[row, cars] = assigned > above
-    return hits

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.boxes import matched
 from pemviz.types import StateBatch
-from studies.detector_in_the_loop.detector import Detector, matched
+from studies.detector_in_the_loop.detector import Detector
 from studies.detector_in_the_loop.drives import DT_S, LANE_M, labels_of
 from studies.detector_in_the_loop.frames import frames_at
 from studies.detector_in_the_loop.render import render
@@ -136,7 +137,11 @@ class Loop:
         found = self.detector.detect(render(scenes, frames))
         labels = labels_of(scenes, poses)
         hits = matched(
-            labels.box_px, labels.visible, found, threshold=self.threshold, above=IOU_ABOVE
+            labels.box_px,
+            found.box_px,
+            obstacle_counts=labels.visible,
+            detection_counts=found.score >= self.threshold,
+            above=IOU_ABOVE,
         )
         return hits[:, : self.world.cars]
 

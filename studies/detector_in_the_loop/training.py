@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.boxes import iou
 from studies.detector_in_the_loop.camera import WIDTH_PX
 from studies.detector_in_the_loop.detector import (
     COLUMNS,
@@ -19,7 +20,6 @@ from studies.detector_in_the_loop.detector import (
     as_input,
     centres_px,
     decoded_boxes,
-    overlap_of,
     ready,
 )
 from studies.detector_in_the_loop.drives import FRAMES, Labels, draw_drive
@@ -206,7 +206,7 @@ def quality_of(network: Network, drawn: Pictures) -> Quality:
 
 def curve(found: Detections, box_px: FloatArray, visible: BoolArray) -> Quality:
     """Precision and recall over all thresholds."""
-    overlaps = overlap_of(found.box_px, box_px) * visible[:, None, :]
+    overlaps = iou(found.box_px, box_px) * visible[:, None, :]
     wide = (box_px[..., 2] - box_px[..., 0] >= FEWEST_PX) & visible
     taken = np.zeros(visible.shape, dtype=np.bool_)
     scores: list[FloatArray] = []

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pemviz.boxes import assign_boxes, iou
 from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.kitti_labels import TYPES
-from pemviz.pem.data.matching import assign_boxes, iou
 from pemviz.pem.data.position_errors import load_error_csv
 from tests.pem.helpers import rows_of, seeds
 

@@ -7,17 +7,15 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
+from pemviz.boxes import assign_boxes, iou, matched
 from pemviz.pem.data.detections import read_sequence_detections
 from pemviz.pem.data.kitti_labels import read_tracking_labels
-from pemviz.pem.data.matching import assign_boxes
 from studies.detector_in_the_loop.detector import (
     MOST,
     Detections,
     Detector,
     Network,
     load_detector,
-    matched,
-    overlap_of,
     ready,
     save_network,
 )
@@ -84,7 +82,13 @@ def test_matching_is_that_of_pem_collect():
     visible = random.random((400, 3)) < 0.8
     score = np.sort(random.random((400, MOST)), axis=1)[:, ::-1]
     found = Detections(random_boxes(random, (400, MOST), side=40), score)
-    hits = matched(labelled, visible, found, threshold=0.6, above=0.3)
+    hits = matched(
+        labelled,
+        found.box_px,
+        obstacle_counts=visible,
+        detection_counts=score >= 0.6,
+        above=0.3,
+    )
     for row in range(400):
         kept = found.box_px[row][score[row] >= 0.6]
         own = labelled[row][visible[row]]
@@ -98,7 +102,7 @@ def test_overlaps_are_areas_of_cells():
     cells = np.zeros((2, 30, 30), dtype=bool)
     cells[0, 3:9, 2:12] = cells[1, 1:7, 6:20] = True
     wanted = (cells[0] & cells[1]).sum() / (cells[0] | cells[1]).sum()
-    assert overlap_of(one.astype(float), other.astype(float))[0, 0, 0] == pytest.approx(wanted)
+    assert iou(one.astype(float), other.astype(float))[0, 0, 0] == pytest.approx(wanted)
 
 
 def test_precision_and_recall_of_a_case_by_hand():

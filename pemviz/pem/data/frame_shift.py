@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import FloatArray
+from pemviz.boxes import iou
 from pemviz.pem.data.kitti_labels import Box
-from pemviz.pem.data.matching import iou
 
 Rows = Sequence[Box] | FloatArray
 """Boxes in an image, or places."""

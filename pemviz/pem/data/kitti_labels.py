@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from pemviz.boxes import Box
 from pemviz.errors import PemError
 from pemviz.files.text_files import open_text
 
@@ -30,9 +31,6 @@ MOST_TRUNCATED = 2.0
 FARTHEST_PX = 1e6
 """No side of a box lies farther from the image's corner than this [px]."""
 LARGEST_NUMBER = 10**9
-
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom [px]."""
 
 OnBadLine = Callable[[PemError], None]
 """What to do about a malformed line: raise, or count and pass over it."""

@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from pemviz.boxes import assign_boxes
 from pemviz.errors import PemError
 from pemviz.pem.data.collect import (
     CollectOptions,
@@ -25,7 +26,6 @@ from pemviz.pem.data.collect import (
 from pemviz.pem.data.detections import Detection
 from pemviz.pem.data.frame_shift import ShiftTally
 from pemviz.pem.data.kitti_labels import Box
-from pemviz.pem.data.matching import assign_boxes
 from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 
 BOX_COLUMNS = ("left_px", "top_px", "right_px", "bottom_px", "width_px", "height_px")

@@ -1,0 +1,442 @@
+"""A detector that reads images, in the closed loop in place of an error model.
+
+The scenario is one that is told, at each step, whether its perception detected; here it is told
+what a detector makes of the image of that state. An outcome thereby is observed, not sampled: it
+follows from the state for certain. It stands among the signals of the state that the image is of,
+and what is random about a rollout is latents alone.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.boxes import iou, matched
+from pemviz.config.ranges import described
+from pemviz.errors import ConfigError
+from pemviz.faults import SimulationError, blame
+from pemviz.files.atomic import write_text
+from pemviz.simulators.latents import WrappedSimulator, begun, parts_of, stepped
+from pemviz.simulators.slots import Slot
+from pemviz.types import CERTAIN, RolloutBatch, Signal, StateBatch
+
+FOUND, SCORE = "found", "score"
+DETECTOR_ITSELF = "detector itself"
+AS_GOOD_AS_CERTAIN = 40.0
+"""Logit."""
+SAME_SCORE = 1e-9
+TRIED = 4
+"""Rollouts whose first images a detector is tried with."""
+IMAGES = "must be a numpy array of uint8, [N, height, width] or [N, height, width, channels]"
+
+
+@dataclass(frozen=True)
+class DetectorItself:
+    """What stands in an error model's place: the outcome is what the detector said."""
+
+    name: str = DETECTOR_ITSELF
+    digest: str = ""
+    data: str = "none: the detector looks at images as the simulator renders them"
+    licence: str = "not stated"
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """As good as certain, ``[...]``, of whether nothing is wrong ``[..., 1]``."""
+        return AS_GOOD_AS_CERTAIN * (2.0 * salient[..., 0] - 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Detecting(WrappedSimulator):
+    """A scenario with the detector itself; what both ways of stepping have in common.
+
+    Attributes:
+        detect: What the detector makes of images ``[n, height, width(, channels)]``, uint8. Without
+            ``boxes``: of each image whether the obstacle was found, or a score, ``[n]``; with K
+            slots ``[n, K]``. With ``boxes``: two arrays, its boxes ``[n, D, 4]`` (left, top, right,
+            bottom [px]) and their scores ``[n, D]``; where an image has fewer, the others' score
+            is 0. The same image must give the same again.
+        boxes: Where the obstacle is in the images of states ``[N]``: ``[N, 4]`` or, with K slots,
+            ``[N, K, 4]`` [px]; NaN where it is not. Of an environment's present state: ``[4]`` or
+            ``[K, 4]``.
+        threshold: Scores from here on count as found.
+        iou_above: With ``boxes``: overlaps (intersection over union) above this count.
+        images_at_a_time: The detector is always given so many, the last ones filled up with
+            copies: a network's last digit may depend on how many there are.
+    """
+
+    scenario: Any
+    _: KW_ONLY
+    detect: Callable[[AnyArray], Any]
+    boxes: Callable[[Any], FloatArray] | None = None
+    threshold: float = 0.5
+    iou_above: float = 0.5
+    images_at_a_time: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that cannot be, and signals that are there already.
+
+        Raises:
+            ConfigError: One line.
+        """
+        where = f"detector in the loop of {self.scenario.name!r}"
+        if not np.isfinite(self.threshold):
+            raise ConfigError(f"{where}: threshold = {self.threshold}: must be finite")
+        if not 0.0 <= self.iou_above < 1.0:
+            raise ConfigError(f"{where}: iou_above = {self.iou_above}: must be from 0 to below 1")
+        if self.images_at_a_time < 1:
+            raise ConfigError(
+                f"{where}: images_at_a_time = {self.images_at_a_time}: must be at least 1"
+            )
+        taken = {word for s in self.scenario.signals for word in (s.name, s.key)}
+        for name in (*self._found, *self._score):
+            if name in taken:
+                raise ConfigError(f"{where}: the signal {name!r} is pemviz's own here; rename it")
+
+    @property
+    def pem(self) -> DetectorItself:
+        """What runs take in place of an error model."""
+        return DetectorItself()
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The scenario's, then whether the detector found, 0 or 1, and its score, by slot."""
+        own = (Signal(name, name, "", 0.0, 1.0) for name in (*self._found, *self._score))
+        return (*self.scenario.signals, *own)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Whether the detector is right about everything that is there, 0 or 1, ``[..., 1]``."""
+        nominal = np.array([slot.nominal for slot in self._slots])
+        right = self._reported(signals) == nominal
+        return right.all(axis=-1)[..., None].astype(np.float64)
+
+    def write_frames(
+        self, path: Path | str, rollouts: RolloutBatch, *, where: BoolArray | None = None
+    ) -> int:
+        """Write what the detector made of each frame of rollouts, for ``pemviz pem fit``.
+
+        A CSV table with the scenario's salient variables, by its attribute ``salient_names``,
+        ``detected``, and ``sequence``, ``track``, ``frame`` and ``rate_hz`` for ``--memory``. Slots
+        where nothing is present, and those where a report is an error, have no row.
+
+        Args:
+            path: Of the table.
+            rollouts: With signals of this simulator, as they come: none that are weighted.
+            where: Which frames ``[N, T-1]``; ``None``: all.
+
+        Returns:
+            How many frames it has.
+
+        Raises:
+            ConfigError: Rollouts are weighted, or the scenario has no ``salient_names``.
+            OSError: The file cannot be written.
+        """
+        names = getattr(self.scenario, "salient_names", None)
+        if not names:
+            message = f"simulator {self.name!r}: a table needs salient_names = ('distance', ...)"
+            raise ConfigError(message)
+        if np.any(rollouts.log_weight != 0.0):
+            message = "rollouts are weighted: a table needs them as they come (method monte-carlo)"
+            raise ConfigError(message)
+        states, count = rollouts.decision_states(), len(self._slots)
+        shape = (*rollouts.detected.shape[:2], count)
+        salient = np.asarray(self.scenario.salient(states.signals)).reshape((*shape, len(names)))
+        reported = self._reported(states.signals)
+        kept = np.array([slot.nominal for slot in self._slots]) & np.ones(shape, dtype=np.bool_)
+        if hasattr(self.scenario, "present"):
+            kept &= self.scenario.present(states.signals)
+        if where is not None:
+            kept &= where[..., None]
+        rate = repr(1.0 / self.dt_s)
+        lines = [",".join(("sequence", "track", "frame", "rate_hz", *names, "detected"))]
+        for row, track in np.argwhere(kept.any(axis=1)):
+            for frame in np.flatnonzero(kept[row, :, track]):
+                values = ",".join(map(repr, salient[row, frame, track].tolist()))
+                said = int(reported[row, frame, track])
+                lines.append(f"{row},{track},{frame},{rate},{values},{said}")
+        write_text(Path(path), "\n".join([*lines, ""]))
+        return len(lines) - 1
+
+    def check_detector(self, images: AnyArray) -> None:
+        """Whether it says the same again of images ``[N, ...]``, and in another order.
+
+        Raises:
+            ConfigError: It does not.
+        """
+        first, again, backwards = (
+            self._asked(some) for some in (images, images, images[::-1].copy())
+        )
+        for other, when, hint in (
+            (again, "when asked again", "what is random about it must come from latents"),
+            (tuple(part[::-1] for part in backwards), "in another place among the images",
+             "images_at_a_time = 1 shows it one at a time"),
+        ):  # fmt: skip
+            for one, two in zip(first, other, strict=True):
+                if not np.allclose(one, two, rtol=SAME_SCORE, atol=SAME_SCORE, equal_nan=True):
+                    place = int(np.argmax(np.abs(one - two)))
+                    message = (
+                        f"simulator {self.name!r}: detect gives {one.flat[place]:.6g} for an image "
+                        f"and {two.flat[place]:.6g} {when}: must give the same; {hint}"
+                    )
+                    raise ConfigError(message)
+
+    @property
+    def _slots(self) -> tuple[Slot, ...]:
+        return getattr(self.scenario, "slots", (Slot("obstacle"),))
+
+    @property
+    def _found(self) -> tuple[str, ...]:
+        return self._named(FOUND)
+
+    @property
+    def _score(self) -> tuple[str, ...]:
+        return self._named(SCORE)
+
+    def _named(self, what: str) -> tuple[str, ...]:
+        if not hasattr(self.scenario, "slots"):
+            return (what,)
+        return tuple(re.sub(r"\W", "_", f"{what}_{slot.name}") for slot in self._slots)
+
+    def _reported(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """What the detector said of each slot, ``[..., K]``."""
+        return np.stack([signals[name] for name in self._found], axis=-1) > 0.0
+
+    def _outcomes(self, signals: Mapping[str, FloatArray]) -> BoolArray:
+        """The same as the scenario takes it: ``[...]``, or with slots ``[..., K]``."""
+        reported = self._reported(signals)
+        return reported if hasattr(self.scenario, "slots") else reported[..., 0]
+
+    def _own_signals(
+        self, images: Any, truth: Any, signals: Mapping[str, FloatArray]
+    ) -> dict[str, FloatArray]:
+        """What the detector says of images of states whose signals are ``[N]``."""
+        count, slots = len(next(iter(signals.values()))), len(self._slots)
+        found, score = self._answers(self._checked(images, count), truth)
+        if hasattr(self.scenario, "slots"):
+            nominal = np.array([slot.nominal for slot in self._slots])
+            found = np.where(self.scenario.present(signals), found, nominal)
+        named = zip((*self._found, *self._score), (*found.T, *score.T), strict=True)
+        assert found.shape == score.shape == (count, slots)  # noqa: S101
+        return {name: np.array(values, dtype=np.float64) for name, values in named}
+
+    def _checked(self, images: Any, count: int) -> AnyArray:
+        fits = isinstance(images, np.ndarray) and images.dtype == np.uint8 and images.ndim in (3, 4)
+        if not fits or len(images) != count or not images.size:
+            what = described(images)
+            if isinstance(images, np.ndarray):
+                what = f"{images.dtype} of shape {images.shape}"
+            self._refuse(f"render gives {what} for {count} states", IMAGES)
+        return images
+
+    def _answers(self, images: AnyArray, truth: Any) -> tuple[BoolArray, FloatArray]:
+        """Whether each slot was found and with which score, ``[N, K]`` each."""
+        count, slots = len(images), len(self._slots)
+        if self.boxes is None:
+            (score,) = self._asked(images)
+            return score >= self.threshold, score
+        given = np.asarray(truth, dtype=np.float64)
+        wanted = (count, slots, 4) if hasattr(self.scenario, "slots") else (count, 4)
+        if given.shape != wanted:
+            self._refuse(f"boxes gives shape {given.shape} for {count} states", f"must be {wanted}")
+        labelled, (found, score) = given.reshape(count, slots, 4), self._asked(images)
+        there = np.isfinite(labelled).all(axis=-1)
+        hits = matched(
+            labelled,
+            found,
+            obstacle_counts=there,
+            detection_counts=score >= self.threshold,
+            above=self.iou_above,
+        )
+        overlaps = (iou(labelled, found) > self.iou_above) & there[..., None]
+        best = np.where(overlaps, score[:, None, :], 0.0).max(axis=2, initial=0.0)
+        return hits, best
+
+    def _asked(self, images: AnyArray) -> tuple[FloatArray, ...]:
+        """The detector's own answers, so many images at a time: scores, or boxes and scores."""
+        size, parts = self.images_at_a_time, list[tuple[FloatArray, ...]]()
+        for start in range(0, len(images), size):
+            chunk = images[start : start + size]
+            given = len(chunk)
+            if given < size:
+                chunk = np.concatenate([chunk, np.repeat(chunk[-1:], size - given, axis=0)])
+            try:
+                answer = self.detect(chunk)
+            except BaseException as error:  # a detector of the user's may raise anything
+                blame(error, f"simulator {self.name}: detect")
+            parts.append(tuple(part[:given] for part in self._fitting(answer, size)))
+        return tuple(np.concatenate(each) for each in self._equally_many(parts))
+
+    def _fitting(self, answer: Any, size: int) -> tuple[FloatArray, ...]:
+        """A detector's answer to so many images as numbers, if it is one."""
+        if self.boxes is None:
+            score = self._numbers(answer)
+            slots = len(self._slots)
+            wanted = (size, slots) if hasattr(self.scenario, "slots") else (size,)
+            if score.shape != wanted:
+                self._refuse(
+                    f"detect gives shape {score.shape} for {size} images", f"must be {wanted}"
+                )
+            return (score.reshape(size, slots),)
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            what = f"detect gives {described(answer)}"
+            self._refuse(what, "must be two arrays, boxes [n, D, 4] and scores [n, D]")
+        found, score = np.asarray(answer[0], dtype=np.float64), self._numbers(answer[1])
+        if score.ndim != 2 or len(score) != size or found.shape != (*score.shape, 4):
+            what = f"detect gives boxes {found.shape} and scores {score.shape} for {size} images"
+            self._refuse(what, f"must be ({size}, D, 4) and ({size}, D)")
+        return found, score
+
+    def _numbers(self, answer: Any) -> FloatArray:
+        try:
+            score = np.asarray(answer)
+        except ValueError:  # rows of several lengths
+            score = np.asarray(None)
+        if score.dtype.kind not in "bf":
+            self._refuse(f"detect gives {described(answer)}", "must be truth values or scores")
+        score = score.astype(np.float64)
+        if not np.isfinite(score).all():
+            odd = float(score[~np.isfinite(score)][0])
+            self._refuse(f"detect gives a score of {odd}", "must be a finite number")
+        return score
+
+    def _equally_many(
+        self, parts: list[tuple[FloatArray, ...]]
+    ) -> Iterator[tuple[FloatArray, ...]]:
+        """Parts by kind; detections of an image, which may be more in one part, filled up."""
+        if self.boxes is not None:
+            most = max(score.shape[1] for _, score in parts)
+            parts = [
+                (
+                    np.pad(found, ((0, 0), (0, most - found.shape[1]), (0, 0))),
+                    np.pad(score, ((0, 0), (0, most - score.shape[1])), constant_values=-np.inf),
+                )
+                for found, score in parts
+            ]
+        return zip(*parts, strict=True)
+
+    def _refuse(self, what: str, why: str) -> NoReturn:
+        raise SimulationError(f"simulator {self.name!r}: {what}", why=why)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectorInTheLoop(Detecting):
+    """A simulator with the detector itself in the loop, in place of an error model.
+
+    ``pemviz.build_experiment(config, simulator=DetectorInTheLoop(scenario, ...))`` takes no error
+    model; the same scenario with one says how near the error model comes. All that is random about
+    a rollout is the scenario's latents: what an image shows beside the state, as light and noise,
+    ``initial`` and ``step`` make of them and keep in the states' memory.
+
+    Signals ``found`` (0 or 1) and ``score`` are those of the image of the same state; with slots
+    ``found_NAME`` and ``score_NAME`` for each, and an outcome is whether all are right.
+
+    Attributes:
+        scenario: A :class:`pemviz.Simulator`, with latents or without, or a
+            :class:`pemviz.SlotSimulator`; its ``salient`` is not looked at.
+        render: States ``[N]`` to their images ``[N, height, width]`` or
+            ``[N, height, width, channels]``, uint8; a state's image is its own, whatever is beside.
+
+    What does not fit is refused in one line: a ``pemviz.ConfigError`` as it is tried before a run,
+    a ``pemviz.RunError`` with rollout and step during one.
+    """
+
+    render: Callable[[StateBatch], AnyArray]
+
+    def initial(self, *, count: int, start: FloatArray | None = None) -> StateBatch:
+        """The scenario's initial states, with what the detector makes of them."""
+        return self._looked_at(begun(self.scenario, count=count, start=start))
+
+    def step(
+        self,
+        states: StateBatch,
+        detected: BoolArray,  # noqa: ARG002  what the detector said is among the signals
+        noise: FloatArray | None = None,
+    ) -> StateBatch:
+        """The scenario's next states after what the detector said of ``states [N]``."""
+        own = {signal.name for signal in self.scenario.signals}
+        before = replace(
+            states,
+            signals={name: values for name, values in states.signals.items() if name in own},
+            memory={name: values for name, values in states.memory.items() if name != CERTAIN},
+        )
+        outcomes = self._outcomes(states.signals)
+        return self._looked_at(stepped(self.scenario, before, outcomes, noise))
+
+    def try_detector(self) -> None:
+        """Show it some first images, again and in another order.
+
+        Raises:
+            ConfigError: It does not say the same.
+        """
+        start = np.random.default_rng(3).standard_normal((TRIED, self.latents.at_start))
+        states = begun(self.scenario, count=TRIED, start=start)
+        self.check_detector(self._checked(self.render(states), TRIED))
+
+    def _looked_at(self, states: StateBatch) -> StateBatch:
+        images = self.render(states)
+        truth = None if self.boxes is None else self.boxes(states)
+        said = self._own_signals(images, truth, states.signals)
+        certain = np.ones(states.shape, dtype=np.bool_)
+        return replace(
+            states,
+            signals={**states.signals, **said},
+            memory={**states.memory, CERTAIN: certain},
+        )
+
+
+def own_image(environment: Any) -> AnyArray:
+    """What an environment renders of its present state."""
+    return environment.render()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectorEpisodes(Detecting):
+    """The same for an environment that can only be reset and stepped, as CARLA or gymnasium's.
+
+    A :class:`pemviz.EpisodicSimulator` around another one, which renders after each reset and step.
+    Its images are looked at one by one.
+
+    Attributes:
+        scenario: A :class:`pemviz.EpisodicSimulator`, such as :class:`pemviz.GymnasiumEpisodes`.
+        render: The environment to the image of its present state, ``[height, width]`` or
+            ``[height, width, channels]``, uint8; what its method ``render`` gives by default.
+    """
+
+    render: Callable[[Any], AnyArray] = own_image
+    images_at_a_time: int = 1
+    _now: dict[str, float] = field(init=False, repr=False, default_factory=dict[str, float])
+
+    def reset(self, *start: Any) -> Mapping[str, float]:
+        """The environment's signals after a reset, with what the detector makes of its image."""
+        return self._looked_at(self.scenario.reset(*start))
+
+    def step(self, outcome: Any, *noise: Any) -> tuple[Mapping[str, float], bool]:  # noqa: ARG002
+        """The same after a step with what the detector said, and whether the episode has ended."""
+        said = self._outcomes({name: np.array(value) for name, value in self._now.items()})
+        values, ended = self.scenario.step(said.tolist(), *noise)
+        return self._looked_at(values), ended
+
+    def try_detector(self) -> None:
+        """Show it the first image again.
+
+        Raises:
+            ConfigError: It does not say the same.
+        """
+        self.scenario.reset(*([np.zeros(self.latents.at_start)] if self.latents.at_start else []))
+        self.check_detector(self._checked(np.asarray(self.render(self.scenario))[None], 1))
+
+    def _looked_at(self, values: Mapping[str, float]) -> dict[str, float]:
+        signals = {name: np.array([value], dtype=np.float64) for name, value in values.items()}
+        image = np.asarray(self.render(self.scenario))[None]
+        truth = None if self.boxes is None else np.asarray(self.boxes(self.scenario))[None]
+        said = self._own_signals(image, truth, signals)
+        self._now.clear()
+        self._now.update(values, **{name: float(one[0]) for name, one in said.items()})
+        return dict(self._now)
+
+
+def detecting(simulator: object) -> Detecting | None:
+    """The detector in the loop of a simulator, whatever wraps it; ``None``: there is none."""
+    return next((part for part in parts_of(simulator) if isinstance(part, Detecting)), None)
