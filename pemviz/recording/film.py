@@ -18,6 +18,7 @@ from pemviz.recording import paths
 from pemviz.recording.stream import RecordingFile, StepTimes
 from pemviz.recording.worst import Track
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
+from pemviz.simulators.detector_loop import Detecting
 from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.simulators.encounters.vectorized import VectorizedEncounters
 from pemviz.simulators.latents import latent_counts, parts_of
@@ -53,6 +54,8 @@ def _filming(simulator: Simulator | SlotSimulator) -> FilmsRollouts | None:
     """The part of a system that draws pictures, if outcomes and start are all that it steps by."""
     for part in parts_of(simulator):
         if isinstance(part, TrackedSimulator):  # it is told of tracks, not of outcomes
+            return None
+        if isinstance(part, Detecting) and len(part.slots_reported) > 1:  # outcomes are of all
             return None
         if isinstance(part, FilmsRollouts):
             draws = getattr(part, "films", True) and not latent_counts(part).noise

@@ -134,7 +134,7 @@ def own_back_end(
     loop = detecting(given)
     if loop is not None:
         with refusing():
-            loop.try_detector()
+            loop.check_detector()
     check_simulator(given)
     where = f"twin of simulator {given.name!r}"
     if twin is not None:
@@ -186,9 +186,10 @@ def observed_outcomes(
     loop = detecting(back_end.simulator)
     if loop is None:
         return None
-    settings = {"memory_s": config.memory_s, "frailty": config.frailty, "hidden": hidden}
+    settings = {"memory_s": config.memory_s, "frailty": config.frailty}
+    settings |= {"memory_curve": config.memory_curve or None, "hidden": hidden or None}
     for name, value in {"pem": given, **settings}.items():
-        if value is not None and value != () and not isinstance(value, DetectorItself):
+        if value is not None and not isinstance(value, DetectorItself):
             why = DETECTOR_KNOWS.format(back_end.simulator.name)
             raise ConfigError(f"{name}: {why}; leave it out, or give the scenario alone")
     return loop.pem
@@ -257,8 +258,6 @@ def check_method_fits(
         if need in described.needs:
             fits = FIT_ANYWHERE.format(check=check)
             raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
-    if config.memory_curve and detecting(back_end.simulator) is not None:
-        raise ConfigError(f"memory_curve = true: {DETECTOR_KNOWS.format(name)}")
     if config.memory_curve and turns_of(back_end.simulator) > 1:
         raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
     if config.reference and "twin" in lacking:

@@ -108,7 +108,7 @@ class Detecting(WrappedSimulator):
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Whether the detector is right about everything that is there, 0 or 1, ``[..., 1]``."""
-        nominal = np.array([slot.nominal for slot in self._slots])
+        nominal = np.array([slot.nominal for slot in self.slots_reported])
         right = self._reported(signals) == nominal
         return right.all(axis=-1)[..., None].astype(np.float64)
 
@@ -140,11 +140,13 @@ class Detecting(WrappedSimulator):
         if np.any(rollouts.log_weight != 0.0):
             message = "rollouts are weighted: a table needs them as they come (method monte-carlo)"
             raise ConfigError(message)
-        states, count = rollouts.decision_states(), len(self._slots)
+        states, count = rollouts.decision_states(), len(self.slots_reported)
         shape = (*rollouts.detected.shape[:2], count)
         salient = np.asarray(self.scenario.salient(states.signals)).reshape((*shape, len(names)))
         reported = self._reported(states.signals)
-        kept = np.array([slot.nominal for slot in self._slots]) & np.ones(shape, dtype=np.bool_)
+        kept = np.array([slot.nominal for slot in self.slots_reported]) & np.ones(
+            shape, dtype=np.bool_
+        )
         if hasattr(self.scenario, "present"):
             kept &= self.scenario.present(states.signals)
         if where is not None:
@@ -159,31 +161,35 @@ class Detecting(WrappedSimulator):
         write_text(Path(path), "\n".join([*lines, ""]))
         return len(lines) - 1
 
-    def check_detector(self, images: AnyArray) -> None:
-        """Whether it says the same again of images ``[N, ...]``, and in another order.
+    def first_images(self) -> AnyArray:
+        """Images ``[N, ...]`` that a detector is tried with."""
+        raise NotImplementedError
+
+    def check_detector(self) -> None:
+        """Whether the detector says the same of its first images again, and in another order.
 
         Raises:
             ConfigError: It does not.
+            SimulationError: It raises something, or what is rendered or answered does not fit.
         """
-        first, again, backwards = (
-            self._asked(some) for some in (images, images, images[::-1].copy())
-        )
-        for other, when, hint in (
-            (again, "when asked again", "what is random about it must come from latents"),
-            (tuple(part[::-1] for part in backwards), "in another place among the images",
-             "images_at_a_time = 1 shows it one at a time"),
-        ):  # fmt: skip
+        images = self.first_images()
+        first, again, turned = (self._asked(some) for some in (images, images, images[::-1].copy()))
+        alone = "in another place among images; images_at_a_time = 1 shows it one at a time"
+        for other, when in (
+            (again, "when asked again; what is random about it must come of latents"),
+            (tuple(part[::-1] for part in turned), alone),
+        ):
             for one, two in zip(first, other, strict=True):
-                if not np.allclose(one, two, rtol=SAME_SCORE, atol=SAME_SCORE, equal_nan=True):
-                    place = int(np.argmax(np.abs(one - two)))
-                    message = (
-                        f"simulator {self.name!r}: detect gives {one.flat[place]:.6g} for an image "
-                        f"and {two.flat[place]:.6g} {when}: must give the same; {hint}"
-                    )
-                    raise ConfigError(message)
+                if one.shape != two.shape or not np.allclose(one, two, SAME_SCORE, SAME_SCORE):
+                    text = "says something else of an image "
+                    if one.shape == two.shape:
+                        place = int(np.argmax(np.abs(one - two)))
+                        text = f"gives {one.flat[place]:.6g}, and {two.flat[place]:.6g} "
+                    raise ConfigError(f"simulator {self.name!r}: detect {text}{when}")
 
     @property
-    def _slots(self) -> tuple[Slot, ...]:
+    def slots_reported(self) -> tuple[Slot, ...]:
+        """What the detector answers for: the scenario's slots, or its one obstacle."""
         return getattr(self.scenario, "slots", (Slot("obstacle"),))
 
     @property
@@ -197,7 +203,7 @@ class Detecting(WrappedSimulator):
     def _named(self, what: str) -> tuple[str, ...]:
         if not hasattr(self.scenario, "slots"):
             return (what,)
-        return tuple(re.sub(r"\W", "_", f"{what}_{slot.name}") for slot in self._slots)
+        return tuple(re.sub(r"\W", "_", f"{what}_{slot.name}") for slot in self.slots_reported)
 
     def _reported(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """What the detector said of each slot, ``[..., K]``."""
@@ -212,10 +218,10 @@ class Detecting(WrappedSimulator):
         self, images: Any, truth: Any, signals: Mapping[str, FloatArray]
     ) -> dict[str, FloatArray]:
         """What the detector says of images of states whose signals are ``[N]``."""
-        count, slots = len(next(iter(signals.values()))), len(self._slots)
+        count, slots = len(next(iter(signals.values()))), len(self.slots_reported)
         found, score = self._answers(self._checked(images, count), truth)
         if hasattr(self.scenario, "slots"):
-            nominal = np.array([slot.nominal for slot in self._slots])
+            nominal = np.array([slot.nominal for slot in self.slots_reported])
             found = np.where(self.scenario.present(signals), found, nominal)
         named = zip((*self._found, *self._score), (*found.T, *score.T), strict=True)
         assert found.shape == score.shape == (count, slots)  # noqa: S101
@@ -232,7 +238,7 @@ class Detecting(WrappedSimulator):
 
     def _answers(self, images: AnyArray, truth: Any) -> tuple[BoolArray, FloatArray]:
         """Whether each slot was found and with which score, ``[N, K]`` each."""
-        count, slots = len(images), len(self._slots)
+        count, slots = len(images), len(self.slots_reported)
         if self.boxes is None:
             (score,) = self._asked(images)
             return score >= self.threshold, score
@@ -241,7 +247,7 @@ class Detecting(WrappedSimulator):
         if given.shape != wanted:
             self._refuse(f"boxes gives shape {given.shape} for {count} states", f"must be {wanted}")
         labelled, (found, score) = given.reshape(count, slots, 4), self._asked(images)
-        there = np.isfinite(labelled).all(axis=-1)
+        there = np.asarray(np.isfinite(labelled).all(axis=-1))
         hits = matched(
             labelled,
             found,
@@ -265,14 +271,15 @@ class Detecting(WrappedSimulator):
                 answer = self.detect(chunk)
             except BaseException as error:  # a detector of the user's may raise anything
                 blame(error, f"simulator {self.name}: detect")
-            parts.append(tuple(part[:given] for part in self._fitting(answer, size)))
+            parts.append(tuple(part[:given] for part in self._fitting(answer, start)))
         return tuple(np.concatenate(each) for each in self._equally_many(parts))
 
-    def _fitting(self, answer: Any, size: int) -> tuple[FloatArray, ...]:
-        """A detector's answer to so many images as numbers, if it is one."""
+    def _fitting(self, answer: Any, start: int) -> tuple[FloatArray, ...]:
+        """A detector's answer to images from ``start`` on as numbers, if it is one."""
+        size = self.images_at_a_time
         if self.boxes is None:
-            score = self._numbers(answer)
-            slots = len(self._slots)
+            score = self._numbers(answer, start)
+            slots = len(self.slots_reported)
             wanted = (size, slots) if hasattr(self.scenario, "slots") else (size,)
             if score.shape != wanted:
                 self._refuse(
@@ -282,13 +289,13 @@ class Detecting(WrappedSimulator):
         if not isinstance(answer, tuple | list) or len(answer) != 2:
             what = f"detect gives {described(answer)}"
             self._refuse(what, "must be two arrays, boxes [n, D, 4] and scores [n, D]")
-        found, score = np.asarray(answer[0], dtype=np.float64), self._numbers(answer[1])
+        found, score = np.asarray(answer[0], dtype=np.float64), self._numbers(answer[1], start)
         if score.ndim != 2 or len(score) != size or found.shape != (*score.shape, 4):
             what = f"detect gives boxes {found.shape} and scores {score.shape} for {size} images"
             self._refuse(what, f"must be ({size}, D, 4) and ({size}, D)")
         return found, score
 
-    def _numbers(self, answer: Any) -> FloatArray:
+    def _numbers(self, answer: Any, start: int) -> FloatArray:
         try:
             score = np.asarray(answer)
         except ValueError:  # rows of several lengths
@@ -297,8 +304,9 @@ class Detecting(WrappedSimulator):
             self._refuse(f"detect gives {described(answer)}", "must be truth values or scores")
         score = score.astype(np.float64)
         if not np.isfinite(score).all():
-            odd = float(score[~np.isfinite(score)][0])
-            self._refuse(f"detect gives a score of {odd}", "must be a finite number")
+            row, odd = int(np.argwhere(~np.isfinite(score))[0][0]), score[~np.isfinite(score)][0]
+            rollouts = range(start + row, start + row + 1)
+            self._refuse(f"detect gives a score of {odd}", "must be a finite number", rollouts)
         return score
 
     def _equally_many(
@@ -316,8 +324,8 @@ class Detecting(WrappedSimulator):
             ]
         return zip(*parts, strict=True)
 
-    def _refuse(self, what: str, why: str) -> NoReturn:
-        raise SimulationError(f"simulator {self.name!r}: {what}", why=why)
+    def _refuse(self, what: str, why: str, rollouts: range | None = None) -> NoReturn:
+        raise SimulationError(f"simulator {self.name!r}: {what}", why=why, rollouts=rollouts)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -364,15 +372,11 @@ class DetectorInTheLoop(Detecting):
         outcomes = self._outcomes(states.signals)
         return self._looked_at(stepped(self.scenario, before, outcomes, noise))
 
-    def try_detector(self) -> None:
-        """Show it some first images, again and in another order.
-
-        Raises:
-            ConfigError: It does not say the same.
-        """
+    def first_images(self) -> AnyArray:
+        """Of some rollouts' first states, with random starts."""
         start = np.random.default_rng(3).standard_normal((TRIED, self.latents.at_start))
         states = begun(self.scenario, count=TRIED, start=start)
-        self.check_detector(self._checked(self.render(states), TRIED))
+        return self._checked(self.render(states), TRIED)
 
     def _looked_at(self, states: StateBatch) -> StateBatch:
         images = self.render(states)
@@ -418,14 +422,10 @@ class DetectorEpisodes(Detecting):
         values, ended = self.scenario.step(said.tolist(), *noise)
         return self._looked_at(values), ended
 
-    def try_detector(self) -> None:
-        """Show it the first image again.
-
-        Raises:
-            ConfigError: It does not say the same.
-        """
+    def first_images(self) -> AnyArray:
+        """Of the state after a reset."""
         self.scenario.reset(*([np.zeros(self.latents.at_start)] if self.latents.at_start else []))
-        self.check_detector(self._checked(np.asarray(self.render(self.scenario))[None], 1))
+        return self._checked(np.asarray(self.render(self.scenario))[None], 1)
 
     def _looked_at(self, values: Mapping[str, float]) -> dict[str, float]:
         signals = {name: np.array([value], dtype=np.float64) for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""Which detection belongs to which obstacle by the distance of centres; by overlap: pemviz.boxes."""
+"""Which detection belongs to which obstacle, by how near their centres are."""
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
