@@ -18,6 +18,7 @@ from onnx import helper as make
 
 import pemviz
 from pemviz import BoolArray, FloatArray, LatentCounts, Signal, StateBatch, quantiles
+from pemviz.pem import fit_pem, load_table
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,9 @@ if __name__ == "__main__":
         network, table = Path(folder) / "spot.onnx", Path(folder) / "frames.csv"
         write_network(network)
         spec = "always[0,35] (gap >= 0.0)"
-        config = pemviz.ExperimentConfig(method="monte-carlo", spec=spec, final_rollouts=2000)
+        config = pemviz.ExperimentConfig(
+            method="monte-carlo", spec=spec, final_rollouts=2000, seed=1
+        )
         loop = pemviz.DetectorInTheLoop(
             StandingCar(), render=render, detect=Detector(str(network)), threshold=12.0
         )
@@ -102,7 +105,7 @@ if __name__ == "__main__":
 
         driven = kept.stages[-1].scored.rollouts.take(slice(0, 250))
         loop.write_frames(table, driven, where=driven.signals["gap"][:, :-1] > 0.0)
-        labelled = pemviz.pem.load_table(table, features=StandingCar.salient_names)
-        model = pemviz.pem.fit_pem(labelled)  # what 'pemviz pem fit --features gap,fog' does
+        labelled = load_table(table, features=StandingCar.salient_names)
+        model = fit_pem(labelled)  # what 'pemviz pem fit --features gap,fog' does
         experiment = pemviz.build_experiment(config, simulator=StandingCar(), pem=model)
         print(pemviz.summary_text(pemviz.run(experiment)))

@@ -7,7 +7,7 @@ and what is random about a rollout is latents alone.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -31,6 +31,8 @@ AS_GOOD_AS_CERTAIN = 40.0
 SAME_SCORE = 1e-9
 TRIED = 4
 """Rollouts whose first images a detector is tried with."""
+AGAIN = "when asked again; what is random about it must come of latents"
+ELSEWHERE = "in another place among images; images_at_a_time = 1 shows it one at a time"
 IMAGES = "must be a numpy array of uint8, [N, height, width] or [N, height, width, channels]"
 
 
@@ -81,35 +83,38 @@ class Detecting(WrappedSimulator):
         Raises:
             ConfigError: One line.
         """
-        where = f"detector in the loop of {self.scenario.name!r}"
-        if not np.isfinite(self.threshold):
-            raise ConfigError(f"{where}: threshold = {self.threshold}: must be finite")
-        if not 0.0 <= self.iou_above < 1.0:
-            raise ConfigError(f"{where}: iou_above = {self.iou_above}: must be from 0 to below 1")
-        if self.images_at_a_time < 1:
-            raise ConfigError(
-                f"{where}: images_at_a_time = {self.images_at_a_time}: must be at least 1"
-            )
         taken = {word for s in self.scenario.signals for word in (s.name, s.key)}
-        for name in (*self._found, *self._score):
-            if name in taken:
-                raise ConfigError(f"{where}: the signal {name!r} is pemviz's own here; rename it")
-
-    @property
-    def pem(self) -> DetectorItself:
-        """What runs take in place of an error model."""
-        return DetectorItself()
+        own = next((name for name in self._names(FOUND, SCORE) if name in taken), None)
+        wrong = (
+            (not np.isfinite(self.threshold), f"threshold = {self.threshold}: must be finite"),
+            (
+                not 0.0 <= self.iou_above < 1.0,
+                f"iou_above = {self.iou_above}: must be from 0 to below 1",
+            ),
+            (
+                self.images_at_a_time < 1,
+                f"images_at_a_time = {self.images_at_a_time}: must be at least 1",
+            ),
+            (own is not None, f"the signal {own!r} is pemviz's own here; choose another name"),
+        )
+        for is_wrong, words in wrong:
+            if is_wrong:
+                raise ConfigError(f"detector in the loop of {self.scenario.name!r}: {words}")
 
     @property
     def signals(self) -> tuple[Signal, ...]:
         """The scenario's, then whether the detector found, 0 or 1, and its score, by slot."""
-        own = (Signal(name, name, "", 0.0, 1.0) for name in (*self._found, *self._score))
+        own = (Signal(name, name, "", 0.0, 1.0) for name in self._names(FOUND, SCORE))
         return (*self.scenario.signals, *own)
+
+    @property
+    def slots_reported(self) -> tuple[Slot, ...]:
+        """What the detector answers for: the scenario's slots, or its one obstacle."""
+        return getattr(self.scenario, "slots", (Slot("obstacle"),))
 
     def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Whether the detector is right about everything that is there, 0 or 1, ``[..., 1]``."""
-        nominal = np.array([slot.nominal for slot in self.slots_reported])
-        right = self._reported(signals) == nominal
+        right = self._reported(signals) == self._nominal
         return right.all(axis=-1)[..., None].astype(np.float64)
 
     def write_frames(
@@ -118,8 +123,8 @@ class Detecting(WrappedSimulator):
         """Write what the detector made of each frame of rollouts, for ``pemviz pem fit``.
 
         A CSV table with the scenario's salient variables, by its attribute ``salient_names``,
-        ``detected``, and ``sequence``, ``track``, ``frame`` and ``rate_hz`` for ``--memory``. Slots
-        where nothing is present, and those where a report is an error, have no row.
+        ``detected``, and ``sequence``, ``track``, ``frame`` and ``rate_hz`` for ``--memory``; no
+        row where nothing is present, nor of slots where a report is an error.
 
         Args:
             path: Of the table.
@@ -127,7 +132,7 @@ class Detecting(WrappedSimulator):
             where: Which frames ``[N, T-1]``; ``None``: all.
 
         Returns:
-            How many frames it has.
+            How many rows it has.
 
         Raises:
             ConfigError: Rollouts are weighted, or the scenario has no ``salient_names``.
@@ -140,29 +145,24 @@ class Detecting(WrappedSimulator):
         if np.any(rollouts.log_weight != 0.0):
             message = "rollouts are weighted: a table needs them as they come (method monte-carlo)"
             raise ConfigError(message)
-        states, count = rollouts.decision_states(), len(self.slots_reported)
-        shape = (*rollouts.detected.shape[:2], count)
-        salient = np.asarray(self.scenario.salient(states.signals)).reshape((*shape, len(names)))
-        reported = self._reported(states.signals)
-        kept = np.array([slot.nominal for slot in self.slots_reported]) & np.ones(
-            shape, dtype=np.bool_
-        )
-        if hasattr(self.scenario, "present"):
-            kept &= self.scenario.present(states.signals)
+        signals = rollouts.decision_states().signals
+        reported = self._reported(signals)
+        salient = self.scenario.salient(signals).reshape((*reported.shape, len(names)))
+        kept = np.broadcast_to(self._nominal, reported.shape)
+        if self._has_slots:
+            kept = kept & self.scenario.present(signals)
         if where is not None:
-            kept &= where[..., None]
-        rate = repr(1.0 / self.dt_s)
+            kept = kept & where[..., None]
         lines = [",".join(("sequence", "track", "frame", "rate_hz", *names, "detected"))]
-        for row, track in np.argwhere(kept.any(axis=1)):
-            for frame in np.flatnonzero(kept[row, :, track]):
-                values = ",".join(map(repr, salient[row, frame, track].tolist()))
-                said = int(reported[row, frame, track])
-                lines.append(f"{row},{track},{frame},{rate},{values},{said}")
+        for row, frame, track in np.argwhere(kept):
+            values = ",".join(map(repr, salient[row, frame, track].tolist()))
+            said = int(reported[row, frame, track])
+            lines.append(f"{row},{track},{frame},{1.0 / self.dt_s!r},{values},{said}")
         write_text(Path(path), "\n".join([*lines, ""]))
         return len(lines) - 1
 
-    def first_images(self) -> AnyArray:
-        """Images ``[N, ...]`` that a detector is tried with."""
+    def first_images(self) -> tuple[AnyArray, Any]:
+        """Images ``[N, ...]`` that the detector is tried with, and the obstacles' boxes there."""
         raise NotImplementedError
 
     def check_detector(self) -> None:
@@ -172,60 +172,52 @@ class Detecting(WrappedSimulator):
             ConfigError: It does not.
             SimulationError: It raises something, or what is rendered or answered does not fit.
         """
-        images = self.first_images()
-        first, again, turned = (self._asked(some) for some in (images, images, images[::-1].copy()))
-        alone = "in another place among images; images_at_a_time = 1 shows it one at a time"
-        for other, when in (
-            (again, "when asked again; what is random about it must come of latents"),
-            (tuple(part[::-1] for part in turned), alone),
-        ):
-            for one, two in zip(first, other, strict=True):
-                if one.shape != two.shape or not np.allclose(one, two, SAME_SCORE, SAME_SCORE):
-                    text = "says something else of an image "
-                    if one.shape == two.shape:
-                        place = int(np.argmax(np.abs(one - two)))
-                        text = f"gives {one.flat[place]:.6g}, and {two.flat[place]:.6g} "
-                    raise ConfigError(f"simulator {self.name!r}: detect {text}{when}")
+        images, truth = self.first_images()
+        turned = images[::-1], None if truth is None else truth[::-1]
+        first, again, elsewhere = (
+            self._answers(*given)[1] for given in ((images, truth), (images, truth), turned)
+        )
+        for other, when in ((again, AGAIN), (elsewhere[::-1], ELSEWHERE)):
+            if not np.allclose(first, other, rtol=SAME_SCORE, atol=SAME_SCORE):
+                place = int(np.argmax(np.abs(first - other)))
+                one, two = first.flat[place], other.flat[place]
+                message = f"simulator {self.name!r}: detect gives {one:.6g}, and {two:.6g} {when}"
+                raise ConfigError(message)
 
     @property
-    def slots_reported(self) -> tuple[Slot, ...]:
-        """What the detector answers for: the scenario's slots, or its one obstacle."""
-        return getattr(self.scenario, "slots", (Slot("obstacle"),))
+    def _has_slots(self) -> bool:
+        return hasattr(self.scenario, "slots")
 
     @property
-    def _found(self) -> tuple[str, ...]:
-        return self._named(FOUND)
+    def _nominal(self) -> BoolArray:
+        return np.array([slot.nominal for slot in self.slots_reported])
 
-    @property
-    def _score(self) -> tuple[str, ...]:
-        return self._named(SCORE)
-
-    def _named(self, what: str) -> tuple[str, ...]:
-        if not hasattr(self.scenario, "slots"):
-            return (what,)
-        return tuple(re.sub(r"\W", "_", f"{what}_{slot.name}") for slot in self.slots_reported)
+    def _names(self, *what: str) -> list[str]:
+        if not self._has_slots:
+            return list(what)
+        return [
+            re.sub(r"\W", "_", f"{w}_{slot.name}") for w in what for slot in self.slots_reported
+        ]
 
     def _reported(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """What the detector said of each slot, ``[..., K]``."""
-        return np.stack([signals[name] for name in self._found], axis=-1) > 0.0
+        return np.stack([signals[name] for name in self._names(FOUND)], axis=-1) > 0.0
 
     def _outcomes(self, signals: Mapping[str, FloatArray]) -> BoolArray:
         """The same as the scenario takes it: ``[...]``, or with slots ``[..., K]``."""
         reported = self._reported(signals)
-        return reported if hasattr(self.scenario, "slots") else reported[..., 0]
+        return reported if self._has_slots else reported[..., 0]
 
     def _own_signals(
         self, images: Any, truth: Any, signals: Mapping[str, FloatArray]
     ) -> dict[str, FloatArray]:
         """What the detector says of images of states whose signals are ``[N]``."""
-        count, slots = len(next(iter(signals.values()))), len(self.slots_reported)
+        count = len(next(iter(signals.values())))
         found, score = self._answers(self._checked(images, count), truth)
-        if hasattr(self.scenario, "slots"):
-            nominal = np.array([slot.nominal for slot in self.slots_reported])
-            found = np.where(self.scenario.present(signals), found, nominal)
-        named = zip((*self._found, *self._score), (*found.T, *score.T), strict=True)
-        assert found.shape == score.shape == (count, slots)  # noqa: S101
-        return {name: np.array(values, dtype=np.float64) for name, values in named}
+        if self._has_slots:
+            found = np.where(self.scenario.present(signals), found, self._nominal)
+        columns = np.concatenate([found, score], axis=1, dtype=np.float64)
+        return dict(zip(self._names(FOUND, SCORE), columns.T.copy(), strict=True))
 
     def _checked(self, images: Any, count: int) -> AnyArray:
         fits = isinstance(images, np.ndarray) and images.dtype == np.uint8 and images.ndim in (3, 4)
@@ -237,92 +229,81 @@ class Detecting(WrappedSimulator):
         return images
 
     def _answers(self, images: AnyArray, truth: Any) -> tuple[BoolArray, FloatArray]:
-        """Whether each slot was found and with which score, ``[N, K]`` each."""
-        count, slots = len(images), len(self.slots_reported)
-        if self.boxes is None:
-            (score,) = self._asked(images)
-            return score >= self.threshold, score
-        given = np.asarray(truth, dtype=np.float64)
-        wanted = (count, slots, 4) if hasattr(self.scenario, "slots") else (count, 4)
-        if given.shape != wanted:
-            self._refuse(f"boxes gives shape {given.shape} for {count} states", f"must be {wanted}")
-        labelled, (found, score) = given.reshape(count, slots, 4), self._asked(images)
-        there = np.asarray(np.isfinite(labelled).all(axis=-1))
-        hits = matched(
-            labelled,
-            found,
-            obstacle_counts=there,
-            detection_counts=score >= self.threshold,
-            above=self.iou_above,
-        )
-        overlaps = (iou(labelled, found) > self.iou_above) & there[..., None]
-        best = np.where(overlaps, score[:, None, :], 0.0).max(axis=2, initial=0.0)
-        return hits, best
-
-    def _asked(self, images: AnyArray) -> tuple[FloatArray, ...]:
-        """The detector's own answers, so many images at a time: scores, or boxes and scores."""
-        size, parts = self.images_at_a_time, list[tuple[FloatArray, ...]]()
-        for start in range(0, len(images), size):
-            chunk = images[start : start + size]
-            given = len(chunk)
-            if given < size:
-                chunk = np.concatenate([chunk, np.repeat(chunk[-1:], size - given, axis=0)])
+        """Whether each slot is found ``[N, K]``, and with which score: so many at a time."""
+        count, slots, size = len(images), len(self.slots_reported), self.images_at_a_time
+        labelled = np.zeros((count, 0, 4))
+        if self.boxes is not None:
+            given = np.asarray(truth, dtype=np.float64)
+            wanted = (count, slots, 4) if self._has_slots else (count, 4)
+            if given.shape != wanted:
+                what = f"boxes gives shape {given.shape} for {count} states"
+                self._refuse(what, f"must be {wanted}")
+            labelled = given.reshape(count, slots, 4)
+        found, score = np.zeros((count, slots), dtype=np.bool_), np.zeros((count, slots))
+        for start in range(0, count, size):
+            rows = slice(start, min(start + size, count))
+            filled = np.minimum(np.arange(start, start + size), count - 1)
             try:
-                answer = self.detect(chunk)
+                answer = self.detect(images[filled])
             except BaseException as error:  # a detector of the user's may raise anything
                 blame(error, f"simulator {self.name}: detect")
-            parts.append(tuple(part[:given] for part in self._fitting(answer, start)))
-        return tuple(np.concatenate(each) for each in self._equally_many(parts))
-
-    def _fitting(self, answer: Any, start: int) -> tuple[FloatArray, ...]:
-        """A detector's answer to images from ``start`` on as numbers, if it is one."""
-        size = self.images_at_a_time
-        if self.boxes is None:
-            score = self._numbers(answer, start)
-            slots = len(self.slots_reported)
-            wanted = (size, slots) if hasattr(self.scenario, "slots") else (size,)
-            if score.shape != wanted:
-                self._refuse(
-                    f"detect gives shape {score.shape} for {size} images", f"must be {wanted}"
-                )
-            return (score.reshape(size, slots),)
-        if not isinstance(answer, tuple | list) or len(answer) != 2:
-            what = f"detect gives {described(answer)}"
-            self._refuse(what, "must be two arrays, boxes [n, D, 4] and scores [n, D]")
-        found, score = np.asarray(answer[0], dtype=np.float64), self._numbers(answer[1], start)
-        if score.ndim != 2 or len(score) != size or found.shape != (*score.shape, 4):
-            what = f"detect gives boxes {found.shape} and scores {score.shape} for {size} images"
-            self._refuse(what, f"must be ({size}, D, 4) and ({size}, D)")
+            here = rows.stop - start
+            if self.boxes is None:
+                score[rows] = self._scores(answer, start)[:here]
+                found[rows] = score[rows] >= self.threshold
+            else:
+                boxes, scores = (part[:here] for part in self._boxes_of(answer, start))
+                found[rows], score[rows] = self._matched(labelled[rows], boxes, scores)
         return found, score
 
-    def _numbers(self, answer: Any, start: int) -> FloatArray:
-        try:
-            score = np.asarray(answer)
-        except ValueError:  # rows of several lengths
-            score = np.asarray(None)
-        if score.dtype.kind not in "bf":
-            self._refuse(f"detect gives {described(answer)}", "must be truth values or scores")
-        score = score.astype(np.float64)
-        if not np.isfinite(score).all():
-            row, odd = int(np.argwhere(~np.isfinite(score))[0][0]), score[~np.isfinite(score)][0]
-            rollouts = range(start + row, start + row + 1)
-            self._refuse(f"detect gives a score of {odd}", "must be a finite number", rollouts)
-        return score
+    def _matched(
+        self, labelled: FloatArray, boxes: FloatArray, scores: FloatArray
+    ) -> tuple[BoolArray, FloatArray]:
+        """Which obstacles are found, and the best score of a box that overlaps enough."""
+        there = np.asarray(np.isfinite(labelled).all(axis=-1))
+        found = matched(
+            labelled,
+            boxes,
+            obstacle_counts=there,
+            detection_counts=scores >= self.threshold,
+            above=self.iou_above,
+        )
+        overlap = (iou(labelled, boxes) > self.iou_above) & there[..., None]
+        return found, np.where(overlap, scores[:, None, :], 0.0).max(axis=2, initial=0.0)
 
-    def _equally_many(
-        self, parts: list[tuple[FloatArray, ...]]
-    ) -> Iterator[tuple[FloatArray, ...]]:
-        """Parts by kind; detections of an image, which may be more in one part, filled up."""
-        if self.boxes is not None:
-            most = max(score.shape[1] for _, score in parts)
-            parts = [
-                (
-                    np.pad(found, ((0, 0), (0, most - found.shape[1]), (0, 0))),
-                    np.pad(score, ((0, 0), (0, most - score.shape[1])), constant_values=-np.inf),
-                )
-                for found, score in parts
-            ]
-        return zip(*parts, strict=True)
+    def _scores(self, answer: Any, start: int) -> FloatArray:
+        """An answer to images from ``start`` on as scores, ``[n, K]``."""
+        score, slots = self._numbers(answer, start), len(self.slots_reported)
+        size = self.images_at_a_time
+        wanted = (size, slots) if self._has_slots else (size,)
+        if score.shape != wanted:
+            what = f"detect gives shape {score.shape} for {size} images"
+            self._refuse(what, f"must be {wanted}")
+        return score.reshape(size, slots)
+
+    def _boxes_of(self, answer: Any, start: int) -> tuple[FloatArray, FloatArray]:
+        """An answer to images from ``start`` on as boxes and scores."""
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            why = "must be two arrays, boxes [n, D, 4] and scores [n, D]"
+            self._refuse(f"detect gives {described(answer)}", why)
+        boxes, scores = np.asarray(answer[0], dtype=np.float64), self._numbers(answer[1], start)
+        size = self.images_at_a_time
+        if scores.ndim != 2 or len(scores) != size or boxes.shape != (*scores.shape, 4):
+            what = f"detect gives boxes {boxes.shape} and scores {scores.shape} for {size} images"
+            self._refuse(what, f"must be ({size}, D, 4) and ({size}, D)")
+        return boxes, scores
+
+    def _numbers(self, answer: Any, start: int) -> FloatArray:
+        score = np.asarray(answer) if isinstance(answer, np.ndarray) else np.array(None)
+        if score.dtype.kind not in "bf":
+            why = "must be an array of truth values or scores"
+            self._refuse(f"detect gives {described(answer)}", why)
+        if not np.isfinite(score).all():
+            first = np.argwhere(~np.isfinite(score))[0]
+            rollouts = range(start + int(first[0]), start + int(first[0]) + 1)
+            what = f"detect gives a score of {score[tuple(first)]}"
+            self._refuse(what, "must be a finite number", rollouts)
+        return score.astype(np.float64)
 
     def _refuse(self, what: str, why: str, rollouts: range | None = None) -> NoReturn:
         raise SimulationError(f"simulator {self.name!r}: {what}", why=why, rollouts=rollouts)
@@ -346,8 +327,10 @@ class DetectorInTheLoop(Detecting):
         render: States ``[N]`` to their images ``[N, height, width]`` or
             ``[N, height, width, channels]``, uint8; a state's image is its own, whatever is beside.
 
-    What does not fit is refused in one line: a ``pemviz.ConfigError`` as it is tried before a run,
-    a ``pemviz.RunError`` with rollout and step during one.
+    ``detect``, ``boxes``, ``threshold``, ``iou_above`` and ``images_at_a_time`` are those of
+    :class:`pemviz.simulators.detector_loop.Detecting`. What does not fit is refused in one line: a
+    ``pemviz.ConfigError`` as it is tried before a run, a ``pemviz.RunError`` with rollout and step
+    during one.
     """
 
     render: Callable[[StateBatch], AnyArray]
@@ -372,11 +355,12 @@ class DetectorInTheLoop(Detecting):
         outcomes = self._outcomes(states.signals)
         return self._looked_at(stepped(self.scenario, before, outcomes, noise))
 
-    def first_images(self) -> AnyArray:
+    def first_images(self) -> tuple[AnyArray, Any]:
         """Of some rollouts' first states, with random starts."""
         start = np.random.default_rng(3).standard_normal((TRIED, self.latents.at_start))
         states = begun(self.scenario, count=TRIED, start=start)
-        return self._checked(self.render(states), TRIED)
+        truth = None if self.boxes is None else np.asarray(self.boxes(states))
+        return self._checked(self.render(states), TRIED), truth
 
     def _looked_at(self, states: StateBatch) -> StateBatch:
         images = self.render(states)
@@ -422,19 +406,23 @@ class DetectorEpisodes(Detecting):
         values, ended = self.scenario.step(said.tolist(), *noise)
         return self._looked_at(values), ended
 
-    def first_images(self) -> AnyArray:
+    def first_images(self) -> tuple[AnyArray, Any]:
         """Of the state after a reset."""
         self.scenario.reset(*([np.zeros(self.latents.at_start)] if self.latents.at_start else []))
-        return self._checked(np.asarray(self.render(self.scenario))[None], 1)
+        return self._checked(self._image(), 1), self._truth()
 
     def _looked_at(self, values: Mapping[str, float]) -> dict[str, float]:
         signals = {name: np.array([value], dtype=np.float64) for name, value in values.items()}
-        image = np.asarray(self.render(self.scenario))[None]
-        truth = None if self.boxes is None else np.asarray(self.boxes(self.scenario))[None]
-        said = self._own_signals(image, truth, signals)
+        said = self._own_signals(self._image(), self._truth(), signals)
         self._now.clear()
         self._now.update(values, **{name: float(one[0]) for name, one in said.items()})
         return dict(self._now)
+
+    def _image(self) -> AnyArray:
+        return np.asarray(self.render(self.scenario))[None]
+
+    def _truth(self) -> AnyArray | None:
+        return None if self.boxes is None else np.asarray(self.boxes(self.scenario))[None]
 
 
 def detecting(simulator: object) -> Detecting | None:

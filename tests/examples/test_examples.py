@@ -5,6 +5,7 @@ import os
 import runpy
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,12 @@ from tests.examples.highway_twin import saving_twin
 
 ROOT = Path(__file__).resolve().parents[2]
 HIGHWAY = ROOT / "examples" / "highway_three_cars.py"
+ONNX = ROOT / "examples" / "onnx_detector.py"
 RANDOM_START = ROOT / "examples" / "random_start.py"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 LONG = {HIGHWAY, RANDOM_START, ROOT / "examples" / "dirty_lens.py"}
 """They take ten seconds and more as they stand."""
-LONGEST = {HIGHWAY: 70, ROOT / "examples" / "tracker.py": 70, RANDOM_START: 70}
+LONGEST = {HIGHWAY: 70, ROOT / "examples" / "tracker.py": 70, RANDOM_START: 70, ONNX: 115}
 """Lines, of those that have a reason; others stay below 60."""
 SPEC = "always[0,60] (distance >= 0.3)"
 
@@ -61,10 +63,14 @@ def test_is_short(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) < LONGEST.get(path, 60)
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG), id=p.stem) for p in EXAMPLES],
-)
+def marks_of(path):
+    """Long ones are slow; ONNX's packages are not there for every Python."""
+    absent = [name for name in ("onnx", "onnxruntime") if find_spec(name) is None]
+    skip = pytest.mark.skipif(bool(absent), reason="needs the extra pemviz[onnx]")
+    return [pytest.mark.slow] * (path in LONG) + [skip] * (path == ONNX)
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, marks=marks_of(p), id=p.stem) for p in EXAMPLES])
 def test_runs(path, capsys):
     """One in a process of its own, as a user runs them; the others share what is imported here."""
     if path.stem == "episodic":
@@ -174,3 +180,22 @@ def test_highway_env_does_the_same_where_its_states_are_saved(monkeypatch):
     assert np.ptp(saved["clearance"], axis=0).max() > 1.0
     for name, values in saved.items():
         np.testing.assert_allclose(played[name], values, rtol=0.0, atol=1e-9)
+
+
+def test_the_detector_of_the_onnx_file_is_what_numpy_computes(tmp_path):
+    """How much darker the darkest spot of 3 x 3 pixels is than the ring of 16 around it."""
+    pytest.importorskip("onnx", reason="needs the extra pemviz[onnx]")
+    pytest.importorskip("onnxruntime", reason="needs the extra pemviz[onnx]")
+    example = runpy.run_path(str(ONNX))
+    example["write_network"](tmp_path / "spot.onnx")
+    detector = example["Detector"](str(tmp_path / "spot.onnx"))
+    gaps_m = np.linspace(1.0, 40.0, 60)
+    spray = np.random.default_rng(2).standard_normal(60)
+    signals = {"gap": gaps_m, "fog": np.full(60, 0.03)}
+    images = example["render"](pemviz.StateBatch(np.array(0), signals, {"spray": spray}))
+    windows = np.lib.stride_tricks.sliding_window_view(images.astype(float), (5, 5), axis=(1, 2))
+    inner = windows[..., 1:4, 1:4].sum(axis=(-1, -2))
+    ring = windows.sum(axis=(-1, -2)) - inner
+    wanted = (ring / 16.0 - inner / 9.0).max(axis=(1, 2))
+    np.testing.assert_allclose(detector(images), wanted, atol=1e-4)
+    assert wanted.min() < 12.0 < wanted.max()

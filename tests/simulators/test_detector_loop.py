@@ -388,8 +388,8 @@ REFUSED = {
     "one image": ({"render": lambda s: render(s)[:1]}, r"uint8 of shape \(1, 3, 4\) for 4 states"),
     "flat": ({"render": lambda s: render(s)[:, 0]}, r"must be a numpy array of uint8, \[N, height"),
     "rows": ({"detect": too_few}, r"detect gives shape \(31,\) for 32 images: must be \(32,\)"),
-    "numbers": ({"detect": lambda i: i[:, 0, 0]}, "must be truth values or scores"),
-    "nothing": ({"detect": lambda i: None}, "detect gives nothing: must be truth values"),
+    "numbers": ({"detect": lambda i: i[:, 0, 0]}, "must be an array of truth values or scores"),
+    "nothing": ({"detect": lambda i: None}, "detect gives nothing: must be an array of truth"),
     "nan": ({"detect": with_nan}, "score of nan in rollout 1: must be a finite number"),
     "raises": ({"detect": lambda i: 1 / 0}, "detect raises ZeroDivisionError"),
     "random": (
@@ -443,7 +443,7 @@ def test_what_belongs_to_an_error_model_is_refused(settings, parts, words):
 def test_a_signal_of_its_name_is_refused():
     taken = replace(TOY.signals[0], name="score", key="score")
     scenario = type("Taken", (LitWalk,), {"signals": (*TOY.signals, taken)})()
-    with pytest.raises(pemviz.ConfigError, match="the signal 'score' is pemviz's own here"):
+    with pytest.raises(pemviz.ConfigError, match="the signal 'score' is pemviz's own here; choose"):
         loop_of(scenario=scenario)
 
 
