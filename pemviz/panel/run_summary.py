@@ -25,7 +25,7 @@ def summary(result: RunResult, *, running: bool = False) -> Mapping[str, Any]:
         scenario = f"braking lead, {config.scenario.initial_speed_kmh:g} km/h"
     return {
         "scenario": scenario,
-        "detector": f"{result.pem.name}, {_memory(result)}",
+        "detector": _detector(result),
         "method": config.method,
         "metric": config.metric,
         "seed": config.seed,
@@ -34,6 +34,11 @@ def summary(result: RunResult, *, running: bool = False) -> Mapping[str, Any]:
         "took_s": result.timings_s.get("total"),
         **_answer(result, running=running),
     }
+
+
+def _detector(result: RunResult) -> str:
+    name = result.pem.name
+    return name if result.is_of_detector_itself else f"{name}, {_memory(result)}"
 
 
 def _memory(result: RunResult) -> str:

@@ -223,6 +223,8 @@ def _rules(result: RunResult) -> str:
 
 
 def _model(result: RunResult) -> str:
+    if result.is_of_detector_itself:
+        return "The detector itself, on images as the simulator renders them; no error model"
     return f"Error model {result.pem.name} (SHA-256 {result.pem.digest[:16]}), by {result.pem.data}"
 
 

@@ -235,13 +235,21 @@ def _argument(result: RunResult) -> tuple[str, ...]:
     config, data = result.config, result.pem.data
     rules = "; ".join(f"{rule.name} {rule.formula!r}" for rule in config.rules)
     what = f"one of the rules {rules}" if rules else repr(config.spec)
+    perception = (
+        f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
+        f"what it looks at, learned from {data}. How far that may be wrong: E2, E5."
+    )
+    if result.is_of_detector_itself:
+        perception = (
+            "Perception is the detector itself, which looks at rendered images; that it would say "
+            "the same on the road is an assumption."
+        )
     return (
         f"What may go wrong is stated exactly: a run violates {what}, decided by the "
         "Boolean semantics of Signal Temporal Logic, strict comparisons as they are written.",
         f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
         "deterministic in it (assumptions below).",
-        f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
-        f"what it looks at, learned from {data}. How far that may be wrong: E2, E5.",
+        perception,
         _sampling_step(result),
         "So the failure probability follows, if the error model is right (E1); how far it is open "
         "if it is not, source by source: E2. What causes violations, so that experts can judge "
@@ -255,6 +263,8 @@ def _evidence(run: CaseRun, document: Document) -> Iterator[Section]:
         if number == 4:
             blocks[1:1] = _violations(run)
         nothing = "Nothing speaks against the error model where the scenario goes."
+        if run.result.is_of_detector_itself:
+            nothing = "There is no error model: the detector itself is in the loop."
         blocks = blocks or [Paragraph(nothing)]
         yield Section(f"E{number}", f"E{number}. {title}", (), tuple(blocks))
 

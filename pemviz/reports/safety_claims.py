@@ -58,6 +58,8 @@ def claims(result: RunResult, *, below: float | None) -> list[Claim]:
             verdict = "shown" if source.high <= below else "not shown"
         note = doubts or (source.narrowed_by if source.high is None else "")
         granted = GRANTED[source.kind].format(pem=result.pem.name)
+        if result.is_of_detector_itself:
+            granted = "rendered images and the simulation are right"
         found.append(Claim(source.kind, granted, source.high, source.name, verdict, note))
     return found
 

@@ -8,8 +8,11 @@ import pytest
 
 import pemviz
 from pemviz import quantiles
+from pemviz.panel.run_summary import summary
 from pemviz.pem import load_table
 from pemviz.recording.film import film_title
+from pemviz.reports.case_runs import read_case_run
+from pemviz.reports.safety_case import safety_case_page
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import check_simulator
 from tests.lattice_walk import GAP, ToySimulator, toy_probability_by_recursion
@@ -352,6 +355,11 @@ def test_a_result_speaks_of_no_error_model(tmp_path):
     again = pemviz.read_result(tmp_path)
     assert again.estimate == result.estimate
     assert pemviz.summary_text(again) == said
+    assert summary(again)["detector"] == "detector itself"
+    page = safety_case_page([read_case_run(tmp_path)], below=0.05)
+    assert "There is no error model: the detector itself is in the loop." in page
+    for words in ("Perception is the error model", "speaks against the error model"):
+        assert words not in page
 
 
 def test_a_registered_one_needs_no_error_model_named(tmp_path, monkeypatch):
