@@ -16,8 +16,8 @@ from panel_timings import ARGUMENTS, WAIT_MS, server
 from playwright.sync_api import sync_playwright
 
 VIEWPORT = {"width": 1280, "height": 720}
-SHOWN_PX = (0, 110, 818, 662)
-"""Scene, timeline and the first chart: left, upper, right, lower edge."""
+TOP_PX, RIGHT_PX = 110, 818
+"""Of the picture; it ends below the first chart."""
 
 
 def main() -> int:
@@ -45,7 +45,10 @@ def main() -> int:
                 page.wait_for_timeout(2 * SCENE_MS)
                 picture = arguments.out / f"{name}.png"
                 keep(page, picture)
-                PIL.Image.open(picture).crop(SHOWN_PX).save(picture, optimize=True)
+                chart = page.locator(".charts .chart").first.bounding_box()
+                assert chart is not None  # noqa: S101  it was waited for
+                edges = (0, TOP_PX, RIGHT_PX, round(chart["y"] + chart["height"]))
+                PIL.Image.open(picture).crop(edges).save(picture, optimize=True)
                 page.close()
         browser.close()
     return 0

@@ -77,6 +77,7 @@ def newest(recordings: Path, method: str, *options: str) -> str:
 
 def keep(page: Page, path: Path) -> None:
     """Keep a picture of the page, once it has settled, in few colours, which load quickly."""
+    page.screenshot()  # the scene fades in by frames that are drawn, and none is without a display
     page.wait_for_timeout(SETTLE_MS)
     picture = PIL.Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     few = picture.quantize(
