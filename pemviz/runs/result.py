@@ -348,4 +348,4 @@ class RunResult(ShownInNotebooks):
     @property
     def is_of_detector_itself(self) -> bool:
         """Whether outcomes are what the detector itself said, without an error model."""
-        return self.pem.name == DETECTOR_ITSELF
+        return self.pem.name == DETECTOR_ITSELF and not self.pem.digest  # a model may have the name

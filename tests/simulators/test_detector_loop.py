@@ -124,6 +124,9 @@ def test_outcomes_are_what_the_detector_says_of_the_image_of_the_state():
     assert (rollouts.log_weight == 0.0).all()
     assert 0 < (~rollouts.detected).sum() < rollouts.detected.size
     assert result.pem.name == "detector itself"
+    assert result.is_of_detector_itself
+    namesake = replace(result, pem=replace(result.pem, digest="ab" * 32))
+    assert not namesake.is_of_detector_itself  # a model of that name is one all the same
 
 
 def test_neither_batches_nor_workers_nor_images_at_a_time_change_a_digit():
