@@ -21,6 +21,7 @@ from pemviz.cli.parsing import parse_arguments
 from pemviz.cli.pem.collect import is_of_images
 from pemviz.cli.pem.fit import ModelChoice
 from pemviz.cli.record_arguments import parse as parse_record
+from pemviz.config.rule_words import Bound
 from pemviz.errors import EXIT_FAILED, ConfigError, PemError
 from pemviz.pem.data.columns import read_columns
 from pemviz.pem.data.detections import SequenceFormat
@@ -107,7 +108,9 @@ class AssessArguments:
     missing_is_empty: bool = False
     """Take a frame without detections file as one in which nothing was detected."""
     model: ModelChoice = "best"
-    """Kind of error model, as of 'pemviz pem fit'."""
+    """Kind of error model, as of 'pemviz pem fit'; best is boosted trees (gb-raw) or logistic
+    regression (lr), whichever predicts better what it was not fitted to. Files that know no places
+    take the shipped ml-nn."""
     no_position_errors: bool = False
     """Leave out errors of reported positions, where the files have them."""
     preset: str = "paper"
@@ -118,6 +121,8 @@ class AssessArguments:
     fail_above: tuple[str, ...] = ()
     """Exit with code 1 if the upper 95 % bound is above this probability; NAME=P for one of several
     rules."""
+    fail_on: Bound = "sampling"
+    """Which upper bound --fail-above judges, as of 'pemviz record'."""
     seed: int = 0
     """Root of all randomness; 0 or more."""
 
@@ -169,6 +174,7 @@ def _record_words(arguments: AssessArguments, *own: str) -> list[str]:
         words += ["--target", f"{arguments.target:g}"]
     for limit in arguments.fail_above:
         words += ["--fail-above", limit]
+    words += ["--fail-on", arguments.fail_on] if arguments.fail_above else []
     return [*words, "--out", str(arguments.out / "runs")]
 
 

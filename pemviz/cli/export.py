@@ -29,7 +29,7 @@ class ExportArguments:
     """The file's format."""
     rank: Rank = 1
     """Which rollout: 1 is the least robust of those that carry the answer, as in the summary's
-    and the panel's lists; after these come the others; at least 1."""
+    list, and the panel's where the least robust come first; then the others; at least 1."""
     out: Path | None = None
     """The file; the folder must be there. Left out: <run>-rank-<rank> with the format's ending,
     here."""

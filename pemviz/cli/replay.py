@@ -48,8 +48,8 @@ class ReplayArguments:
     """The run folder, of a run that is done, stopped or failed."""
     rank: Rank | None = None
     """Which of the rollouts that the run keeps: 1 is the least robust of those that carry the
-    answer, as in the summary's and the panel's lists; at least 1. Left out: 1, or what --stage and
-    --rollout say."""
+    answer, as in the summary's list, and in the panel's where the least robust come
+    first; at least 1. Left out: 1, or what --stage and --rollout say."""
     stage: Number | None = None
     """The rollout's stage, from 0."""
     rollout: Number | None = None

@@ -95,7 +95,7 @@ def test_the_commands_follow_from_what_the_files_hold(
 ):
     files = write(tmp_path / "files", **options)
     words = assess_words(files, tmp_path / "out", "--preset", "town01", "--target", "1e-6")
-    assert main(words) == 0
+    assert main([*words, "--fail-above", "0.1", "--fail-on", "act-on"]) == 0
     commands = printed(capsys.readouterr().out)
     marks = ("--memory", "--position-errors", "--memory-s")
     told = [
@@ -106,6 +106,7 @@ def test_the_commands_follow_from_what_the_files_hold(
     record = next(words for words in commands if words[0] == "record")
     assert record[record.index("--preset") + 1] == "town01"
     assert record[record.index("--target") + 1] == "1e-06"
+    assert record[record.index("--fail-on") + 1] == "act-on"
     assert commands[-1][1] == str(tmp_path / "out/runs/a-run")
     assert "--claim-below" in commands[-1]
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as Xml
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pemviz.cli.record_arguments import parse
+from pemviz.files.shipped import asset_path
 from pemviz.runs.experiment import build_experiment
 
 yaml = pytest.importorskip("yaml", reason="pyyaml is among the test extras")
@@ -22,6 +24,16 @@ QUICK = (
     "--method monte-carlo --final-rollouts 200 --fail-above 0.5 --no-recording --no-plan "
     "--no-measured-memory"
 )
+
+
+@pytest.fixture(autouse=True)
+def own_model(tmp_path, monkeypatch):
+    """The working folder with a detector's model where the workflow has it."""
+    work = tmp_path / "work"
+    (work / "models").mkdir(parents=True)
+    shutil.copy(asset_path("pem", "rrc.safetensors"), work / "models" / "own.safetensors")
+    monkeypatch.chdir(work)
+    return work
 
 
 @pytest.fixture(scope="module")
@@ -72,14 +84,12 @@ def test_its_pemviz_commands_are_valid(workflow):
         assert str(arguments.summary) == "$GITHUB_STEP_SUMMARY"
 
 
-def test_its_steps_run_and_leave_what_is_uploaded(workflow, tmp_path):
+def test_its_steps_run_and_leave_what_is_uploaded(workflow, tmp_path, own_model):
     """As a runner does it, with bash -e, but with a quick experiment."""
     program = tmp_path / "bin" / "pemviz"
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pemviz "$@" {QUICK}\n')
     program.chmod(0o755)
-    work = tmp_path / "work"
-    work.mkdir()
     environment = {
         **os.environ,
         "PATH": f"{program.parent}:{os.environ['PATH']}",
@@ -89,12 +99,12 @@ def test_its_steps_run_and_leave_what_is_uploaded(workflow, tmp_path):
     for script in pemviz_scripts(workflow):
         done = subprocess.run(
             ["bash", "-e", "-c", script],
-            cwd=work, env=environment, capture_output=True, text=True, check=False,
+            cwd=own_model, env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert "gate passed" in done.stderr
     kept = steps_of(workflow)[-1]["with"]["path"].split()
-    assert {path.name for path in work.iterdir()} == set(kept)
-    assert json.loads((work / "result.json").read_text())["status"] == "done"
-    assert Xml.parse(work / "gate.xml").getroot().attrib["failures"] == "0"  # noqa: S314  ours
+    assert {path.name for path in own_model.iterdir()} == {"models", *kept}
+    assert json.loads((own_model / "result.json").read_text())["status"] == "done"
+    assert Xml.parse(own_model / "gate.xml").getroot().attrib["failures"] == "0"  # noqa: S314  ours
     assert "Gate passed" in (tmp_path / "summary.md").read_text(encoding="utf-8")

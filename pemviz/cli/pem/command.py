@@ -12,7 +12,7 @@ from pemviz.errors import EXIT_BAD_INPUT, EXIT_DONE, InputError
 
 ACTIONS = {
     "compare": ("CompareArguments", "failure probability under several models, and their ratios"),
-    "collect": ("CollectArguments", "match detections with KITTI labels into one table"),
+    "collect": ("CollectArguments", "match detections with labels, of any format, into a table"),
     "fit": ("FitArguments", "train a model on such a table"),
     "evaluate": ("EvaluateArguments", "cross-validate models: scores, calibration, tables"),
     "memory": ("MemoryArguments", "how misses follow each other on video; are they independent?"),
