@@ -98,6 +98,11 @@ def cluster_pool(address: str) -> Generator[tuple[Callable[..., Future[Any]], in
         yield cluster.executor().submit, cluster.count
 
 
+def worker_was_killed(error: BaseException) -> bool:
+    """Whether a call ended so many of a cluster's workers that its scheduler gave up."""
+    return type(error).__name__ == "KilledWorker"
+
+
 def worker_version() -> str:
     """Of pemviz, where this is called."""
     return __version__

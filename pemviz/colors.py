@@ -25,6 +25,7 @@ CARS = (EGO, LEAD, PURPLE, GREEN, SKY)
 """Of a scene with several cars, the ego first."""
 SOURCES = {
     "sampling": BLUE,
+    "lost": BLACK,
     "reference": GREEN,
     "refits": ORANGE,
     "model-classes": VERMILLION,

@@ -43,6 +43,8 @@ class SimulationError(RunError):
         among: One of so many, where they do not lie beside each other.
         ahead: So many stages after the one that is being carried out.
         during: The stage and the repetition, in words.
+        broke: Whether it is the simulator that raised something, or failed in our words.
+        outcomes: How many outcomes the rollouts had by then, where they are counted.
     """
 
     def __init__(
@@ -60,6 +62,8 @@ class SimulationError(RunError):
         self.among: int | None = None
         self.ahead = 0
         self.during = ""
+        self.broke = False
+        self.outcomes: int | None = None
 
     def __str__(self) -> str:
         """One line: what, where, why."""
@@ -91,6 +95,7 @@ def blame(
     *,
     step: int | range | None = None,
     rollouts: range | None = None,
+    breaks: bool = False,
 ) -> NoReturn:
     """Raise what tells of an error that something raised.
 
@@ -99,6 +104,7 @@ def blame(
         what: By what.
         step: See :class:`SimulationError`.
         rollouts: Likewise, as they are counted where this is called.
+        breaks: Whether it is a simulator that raised it.
 
     Raises:
         SimulationError: With where it was, as far as that was not known.
@@ -119,6 +125,7 @@ def blame(
             why=message_of(error),
             traceback_text=traceback_of(error),
         )
+    found.broke = breaks
     found.add(step=step, rollouts=rollouts)
     raise found from error
 

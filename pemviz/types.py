@@ -30,6 +30,8 @@ LAST = "last_outcome_"
 """Memory, with a slot's number: its last outcome."""
 VIOLATED = "violated"
 """Memory: whether there has been a violation."""
+LOST = "lost"
+"""Memory of rollouts that cannot be simulated on: whether a state is one that was not reached."""
 
 
 @dataclass(frozen=True)
@@ -315,6 +317,8 @@ DiagnosticKind = Literal[
     "wide-interval",
     "not-absorbing",
     "not-repeatable",
+    "lost-rollouts",
+    "lost-matter",
     "called-safe",
     "parts-disagree",
     "exploration-alone",

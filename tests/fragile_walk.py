@@ -63,11 +63,14 @@ class FragileWalk:
         return signals["gap"][..., None]
 
 
+@dataclass(frozen=True)
 class Constant:
     """Misses with the same probability everywhere."""
 
+    miss: float = MISS
+
     def logit(self, salient):
-        return np.full(salient.shape[:-1], np.log1p(-MISS) - np.log(MISS))
+        return np.full(salient.shape[:-1], np.log1p(-self.miss) - np.log(self.miss))
 
 
 def simulator():
@@ -78,12 +81,12 @@ def simulator():
 PEM = Constant()
 
 
-def experiment(how="aborts", batch_rollouts=None, **options):
+def experiment(how="aborts", batch_rollouts=None, miss=MISS, **options):
     """A run of it."""
     given = {"method": "monte-carlo", "spec": SPEC, "final_rollouts": 60, "seed": 3}
     config = pemviz.ExperimentConfig(**{**given, **options})
     return pemviz.build_experiment(
-        config, simulator=FragileWalk(how), pem=PEM, batch_rollouts=batch_rollouts
+        config, simulator=FragileWalk(how), pem=Constant(miss), batch_rollouts=batch_rollouts
     )
 
 
@@ -92,11 +95,11 @@ def breaks(outcomes):
     return tuple(outcomes[: len(BREAKS_AT)]) == BREAKS_AT
 
 
-def exact(*, lost_violate):
-    """P(violation), of what breaks as asked; in all it violates nothing before it breaks."""
+def exact(*, lost_violate, miss=MISS):
+    """P(violation), of what breaks as asked; nothing violates before it breaks."""
     total = 0.0
     for outcomes in itertools.product((True, False), repeat=STATES - 1):
-        p = np.prod([1.0 - MISS if detected else MISS for detected in outcomes])
+        p = np.prod([1.0 - miss if detected else miss for detected in outcomes])
         violates = lost_violate if breaks(outcomes) else sum(not o for o in outcomes) > 2
         total += p * violates
     return total

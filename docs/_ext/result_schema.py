@@ -41,7 +41,7 @@ SUMMARY_OF: Mapping[type, type] = {StageSummary: StageResult}
 """Types whose fields are those of another, which tells of them."""
 WHERE_THERE_IS_SOME = (
     "simulator", "rules", "per_hour", "per_km", "driven", "latents", "position_errors", "starts",
-    "robustness_tail", "least_robust_by_rule",
+    "lost", "robustness_tail", "least_robust_by_rule",
 )  # fmt: skip
 """Likewise of the document itself."""
 
@@ -102,10 +102,10 @@ def _document(found: dict[str, Schema]) -> Schema:
 
 ORDER = (
     "schema", "run_id", "status", "message", "seed", "versions", "simulator", "config", "pem",
-    "estimate", "rules", "per_hour", "per_km", "driven", "memory", "latents", "position_errors",
-    "starts", "reference", "pem_interval", "model_classes", "uncertainty", "data_bound", "plan",
-    "sensitivity", "causes", "robustness_tail", "repetitions", "stages", "least_robust",
-    "least_robust_by_rule", "assumptions", "warnings", "timings_s", *_DIGESTS,
+    "estimate", "rules", "per_hour", "per_km", "driven", "lost", "memory", "latents",
+    "position_errors", "starts", "reference", "pem_interval", "model_classes", "uncertainty",
+    "data_bound", "plan", "sensitivity", "causes", "robustness_tail", "repetitions", "stages",
+    "least_robust", "least_robust_by_rule", "assumptions", "warnings", "timings_s", *_DIGESTS,
 )  # fmt: skip
 
 

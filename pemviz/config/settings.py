@@ -34,6 +34,7 @@ METHODS = NamedPart(
 MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 KeepName = Literal["all", "violations"]
+LostName = Literal["end", "violation", "none"]
 SHIPPED_SIMULATORS = ("vectorized", "highway-env", "sumo")
 """Back ends of the shipped scenarios."""
 BLACK_BOXES = ("merge",)
@@ -242,6 +243,11 @@ class ExperimentConfig:
     """A step of the rollouts that are simulated at a time which takes longer fails the run [s];
     with workers, a rollout, once it was tried three times. Results do not depend on it, and a
     stopped run goes on with another; above 0, at most 1e6."""
+    lost: LostName = "end"
+    """What a rollout counts as that cannot be simulated in three tries, as the simulator raises
+    something in a step or, with workers, ends its process or stalls: end, the run ends, and names
+    it; violation, it violates; none, it does not, unless it had before. The answer says how many
+    there were, and what it would be if they counted otherwise."""
     reference: bool = False
     """Also compute the answer by the zero-variance reference, to compare with."""
     target: Annotated[float, Range(low=0.0, low_open=True, high=1.0)] | None = None

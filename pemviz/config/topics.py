@@ -11,7 +11,7 @@ TOPICS: Mapping[str, tuple[str, ...]] = {
     "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "measured_memory",
                  "memory_curve", "position_errors", "allow_python"),
     "certainty": ("precision", "max_rollouts", "max_minutes", "target", "plan", "reference",
-                  "repetitions", "seed"),
+                  "repetitions", "seed", "lost"),
     "output": ("out", "resume", "verbose", "json", "fail_above", "fail_on", "summary", "junit",
                "keep", "no_recording", "no_frames", "live"),
     "scenario": ("scenario.",),

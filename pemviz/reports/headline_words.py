@@ -23,6 +23,7 @@ BECAUSE = (
 )
 SHORT: Mapping[SourceKind, str] = {
     "sampling": "the sampling",
+    "lost": "rollouts that could not be simulated",
     "reference": "the reference",
     "refits": "refits",
     "model-classes": "other model classes",

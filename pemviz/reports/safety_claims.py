@@ -11,6 +11,7 @@ from pemviz.runs.uncertainty import SourceKind, run_interval_caveats, uncertaint
 Verdict = Literal["shown", "not shown", "not known"]
 GRANTED: Mapping[SourceKind, str] = {
     "sampling": "the error model {pem} and the simulation are right",
+    "lost": "rollouts that could not be simulated may violate or not, and nothing else is wrong",
     "refits": "any refit of {pem} to its data may be right",
     "model-classes": "any of the other shipped kinds of error model may be right",
     "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",

@@ -94,6 +94,9 @@ def _of_rule(result: RunResult, rule: RuleAnswer, sources: Sequence[UncertaintyS
         if source.kind == "sampling":
             ends = {"low": estimate.ci_low, "high": estimate.ci_high}
             own.append(replace(source, **ends, note=caveats[0] if caveats else ""))
+        elif source.kind == "lost" and result.lost is not None:
+            low, high = result.lost.ends(estimate.probability)
+            own.append(replace(source, low=low, high=high))
         elif source.kind == "refits" and refits is not None:
             own.append(replace(source, low=refits.low or 0.0, high=refits.high))
         elif source.kind == "memory":

@@ -10,7 +10,7 @@ from pemviz.faults import refusing
 from pemviz.pem import load_position_errors
 from pemviz.proposals.offset_logistic import SignalFeatures, StateFeatures
 from pemviz.sampling.back_end import GAP, BackEnd, SlotFeatures, StepFeatures, TrackFeatures
-from pemviz.sampling.description import Need
+from pemviz.sampling.description import MethodDescription, Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import largest_part
@@ -217,6 +217,21 @@ def with_choices(
     return replace(back_end, features=StepFeatures(features, turns) if turns > 1 else features)
 
 
+def _check_losses_fit(config: ExperimentConfig, described: MethodDescription) -> None:
+    """Refuse to lose rollouts where they have to go through."""
+    if config.lost == "end":
+        return
+    if described.interval_basis == "runs":
+        raise ConfigError(
+            f"lost = {config.lost!r}: method {config.method} goes on from its rollouts, and none "
+            "does from one that breaks; use mixture"
+        )
+    if config.memory_curve:
+        raise ConfigError(
+            f"lost = {config.lost!r}: not with memory_curve, whose own rollouts all must go through"
+        )
+
+
 def check_method_fits(
     config: ExperimentConfig, back_end: BackEnd, *, frailty: float | None = None
 ) -> None:
@@ -234,6 +249,7 @@ def check_method_fits(
             f"final_rollouts = {config.final_rollouts}: must be at most {MOST_ROLLOUTS}; "
             "more take method monte-carlo and keep = 'violations'"
         )
+    _check_losses_fit(config, described)
     lacking: dict[Need, str] = {}
     counts = latent_counts(back_end.simulator)
     if counts and back_end.twin is None:

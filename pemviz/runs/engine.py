@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import metadata
 from typing import Any
 
@@ -22,16 +23,17 @@ from pemviz.runs.interpretation import (
     interpret_repetition,
     refits_of,
 )
+from pemviz.runs.losses import LostOfRepetition, LostWeights, with_lost
 from pemviz.runs.own_code import own_system
 from pemviz.runs.ranking import with_stage
 from pemviz.runs.rates import assumed_encounters
-from pemviz.runs.result import PemInfo, RuleAnswer, RunResult, memory_of
+from pemviz.runs.result import LostRollouts, PemInfo, RuleAnswer, RunResult, memory_of
 from pemviz.runs.specification import may_leave_bounds
 from pemviz.runs.workers import with_workers
 from pemviz.sampling.estimates.diagnostics import not_repeatable
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
-from pemviz.sampling.method import AnswersRules, Method
+from pemviz.sampling.method import AnswersRules, Method, PoolsStages
 from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
 from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 from pemviz.simulators.latents import latent_counts
@@ -171,6 +173,7 @@ class _Runner:
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self._by_rule: list[Mapping[str, Estimate]] = []
         self._repeats = Repeats()
+        self._lost = LostWeights()
         self._at: tuple[int, int] | None = None
         self._observers_error: BaseException | None = None
         self.complete = False
@@ -230,6 +233,8 @@ class _Runner:
         rollouts = error.rollouts if isinstance(error, faults.SimulationError) else None
         if self._at is None or rollouts is None or len(rollouts) != 1:
             return None
+        if self._experiment.description.interval_basis == "runs":  # they go on from each other
+            return None
         repetition, stage = self._at
         return repetition, stage + getattr(error, "ahead", 0), rollouts[0]
 
@@ -254,6 +259,7 @@ class _Runner:
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
         state, stage, repeats = method.init(problem, repetition=repetition), 0, Repeats()
+        lost = LostOfRepetition()
 
         def progress(done: int, total: int) -> None:
             self._notify(
@@ -267,6 +273,10 @@ class _Runner:
             state, result = method.step(watched, state)
             repeats += repeat_some(problem, result.scored, twin=self._experiment.twin)
             self._at = None
+            if problem.lost != "end":
+                lost = lost.with_stage(result, problem)
+                told = (self._lost + lost.weighed()).told(problem)
+                self._keep(replace(self._interpreted.result, lost=told))
             self._notify_of_stage(result)
             for interpreted in interpret(
                 self._interpreted, experiment=self._experiment, stage=result
@@ -278,10 +288,14 @@ class _Runner:
         )
         self._repeats += repeats
         rules = self._experiment.config.rules
-        estimate = _noted(method.estimate(state), repeats)
+        pooled = method.pooled_log_weight(state) if isinstance(method, PoolsStages) else None
+        weighed = lost.weighed(pooled)
+        self._lost += weighed
+        noted = partial(_noted, repeats=repeats, lost=weighed.told(problem))
+        estimate = noted(method.estimate(state))
         estimates = (*self._interpreted.result.repetitions, estimate)
         by_rule = estimates_by_rule(method, state, rules)
-        self._by_rule.append({name: _noted(found, repeats) for name, found in by_rule.items()})
+        self._by_rule.append({name: noted(found) for name, found in by_rule.items()})
         answers: list[RuleAnswer] = []
         for rule in rules:
             whole = summarise_repetitions([found[rule.name] for found in self._by_rule])
@@ -292,6 +306,7 @@ class _Runner:
             repetitions=estimates,
             estimate=summarise_repetitions(estimates),
             rules=tuple(answers),
+            lost=self._lost.told(problem),
         )
         self._notify(
             events.RepetitionDone(
@@ -334,8 +349,9 @@ class _Runner:
         return timed
 
 
-def _noted(estimate: Estimate, repeats: Repeats) -> Estimate:
-    """The estimate with what is wrong where rollouts were not the same again."""
+def _noted(estimate: Estimate, *, repeats: Repeats, lost: LostRollouts | None) -> Estimate:
+    """The estimate with what is wrong where rollouts were not the same again, or were lost."""
+    estimate = with_lost(estimate, lost)
     found = not_repeatable(
         repeated=repeats.count, differing=repeats.differing, example=repeats.example
     )

@@ -206,9 +206,10 @@ def _sampled(
     """The task of a rollout that the folder does not hold, as the run samples it."""
     repetition, stage, rollout = place
     where = f"run {folder}"
-    if "restarts" in experiment.description.needs:
+    if experiment.description.interval_basis == "runs":
         name = experiment.config.method
-        raise InputError(f"{where}: {name} goes on from states; only what is kept can be repeated")
+        message = f"{where}: {name} goes on from its rollouts; only what is kept can be repeated"
+        raise InputError(message)
     if not 0 <= repetition < experiment.config.repetitions:
         most = experiment.config.repetitions - 1
         raise InputError(f"repetition = {repetition}: must be from 0 to {most}")
@@ -217,7 +218,8 @@ def _sampled(
     number, state = 0, method.init(problem, repetition=repetition)
     with ProcessPool(1) as pool:  # what there still is to simulate ends no more than it
         limit_s = problem.step_time_limit_s
-        runner = PooledRunner(pool.submit, 1, renew=pool.renew, limit_s=limit_s)
+        loses = experiment.config.lost != "end"
+        runner = PooledRunner(pool.submit, 1, renew=pool.renew, limit_s=limit_s, loses=loses)
         problem = replace(problem, run_batches=runner)
         try:
             while number < stage and not method.is_done(state):

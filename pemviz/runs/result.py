@@ -42,6 +42,44 @@ class PemInfo:
 
 
 @dataclass(frozen=True)
+class LostRollout:
+    """A rollout that could not be simulated to its end."""
+
+    repetition: Count
+    """Zero-based."""
+    stage: Count
+    """Its stage."""
+    rollout: Count
+    """Its index in the stage."""
+    step: Count
+    """At which the simulator raised something, ended its process or stalled."""
+
+
+@dataclass(frozen=True)
+class LostRollouts:
+    """Rollouts that could not be simulated to their end, and what they count as."""
+
+    counts_as: Literal["violation", "none"]
+    """As a violation, or as none unless they had violated before."""
+    count: Count
+    """How many."""
+    simulated: Count
+    """Of so many, in all stages and repetitions."""
+    probability: AtLeastZero
+    """That a rollout is lost before it violates, by their weights."""
+    std_error: AtLeastZero
+    """Of that."""
+    first: tuple[LostRollout, ...] = ()
+    """The first twenty."""
+
+    def ends(self, probability: float) -> tuple[float, float]:
+        """An answer if none of them counted as a violation, and if all did."""
+        if self.counts_as == "violation":
+            return max(probability - self.probability, 0.0), probability
+        return probability, probability + self.probability
+
+
+@dataclass(frozen=True)
 class OwnSystem:
     """A simulator of the user's own, and by which code it is."""
 
@@ -299,6 +337,7 @@ class RunResult(ShownInNotebooks):
         latents: How many standard normals the simulator took; ``None`` if none.
         position_errors: By which the scenario measured; ``None``: it measured exactly.
         driven: How far a rollout is, where it is a stretch of driving in free traffic.
+        lost: Rollouts that could not be simulated to their end; ``None`` if there are none.
         reference: The answer by the zero-variance reference, or over all states where they are few.
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
@@ -333,6 +372,7 @@ class RunResult(ShownInNotebooks):
     position_errors: PemInfo | None = None
     simulator: OwnSystem | None = None
     driven: DrivenDistance | None = None
+    lost: LostRollouts | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     starts: tuple[DangerousStarts, ...] = ()

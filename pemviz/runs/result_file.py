@@ -20,6 +20,7 @@ What a result.json may hold (schema 2):
 - ``rules``, ``least_robust_by_rule``, and ``broken`` in ``least_robust``, only where there are
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
+- ``lost``, only where rollouts could not be simulated to their end.
 - ``per_hour``, only where encounters an hour are given, or ``per_km``, only where ``driven`` is
   (:mod:`pemviz.runs.rates`), follows from the estimates too.
 - ``uncertainty``, what leaves the answer open
@@ -170,6 +171,7 @@ def result_document(result: RunResult) -> Table:
             per_hour=violation_rates(result),
             per_km=distance_rates(result),
             driven=result.driven,
+            lost=result.lost,
         ),
         "memory": (
             None

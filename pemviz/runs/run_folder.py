@@ -280,7 +280,7 @@ def going_on(experiment: Experiment, archive: Archive) -> Experiment:
         found = finished(repetition, stage)
         if found is None or not problem.rules:
             return found
-        by_rule = rule_scores(problem.rules, found.scored.rollouts)
+        by_rule = rule_scores(problem, found.scored.rollouts)
         return replace(found, scored=replace(found.scored, **by_rule))
 
     return replace(experiment, problem=replace(problem, finished=judged))

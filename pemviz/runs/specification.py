@@ -14,6 +14,7 @@ from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.folding import Folding, Signals, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
+from pemviz.sampling.rollouts.losing import losing_here
 from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import turns_of
@@ -47,12 +48,13 @@ def build_problem(
         robustness=whole.robustness,
         violated=whole.violated,
         batch_rollouts=back_end.batch_rollouts,
-        run_batches=CompiledRunner(),
+        run_batches=CompiledRunner() if config.lost == "end" else losing_here,
         step_time_limit_s=config.step_time_limit_s,
         unsafe=unsafe_states(formula, turns=turns),
         monitor=whole.monitor,
         turns=turns,
         thins=config.keep == "violations",
+        lost=config.lost,
         rules={
             rule.name: scored(_parsed(rule.formula, simulator, name=f"rules.{rule.name}"))
             for rule in config.rules

@@ -223,7 +223,8 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
 
     Sampled where the configuration says so; else the recursion where the scenario has few states.
     A system of the user's own without a twin is gone through itself, where that takes at most a
-    fifth of the steps that its rollouts took: no rollout may show the sequence that fails.
+    fifth of the steps that its rollouts took: no rollout may show the sequence that fails. One that
+    may break is not.
 
     Args:
         result: With the estimate of all repetitions.
@@ -235,8 +236,9 @@ def beside_reference(result: RunResult, *, experiment: Experiment) -> RunResult:
     if twin is not None and experiment.config.reference:
         found = reference(problem, twin=twin)
     elif twin is not None:
-        found = None if experiment.twin_doubt else reference_of_few_states(problem, twin=twin)
-    elif not _states_are_numbers(problem.simulator):
+        doubted = experiment.twin_doubt or result.lost is not None  # a twin loses nothing
+        found = None if doubted else reference_of_few_states(problem, twin=twin)
+    elif experiment.config.lost != "end" or not _states_are_numbers(problem.simulator):
         return result
     else:
         steps = result.estimate.rollouts_simulated * (problem.simulator.states - 1)

@@ -72,7 +72,7 @@ def data_warnings(result: RunResult) -> tuple[str, ...]:
     return (*own, *about_refits)
 
 
-SourceKind = Literal["sampling", "reference", "refits", "model-classes", "memory", "data"]
+SourceKind = Literal["sampling", "lost", "reference", "refits", "model-classes", "memory", "data"]
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,16 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
         note=caveats[0] if caveats else "",
         narrowed_by=better if caveats else by_name(result.config.method).narrows,
     )
+    if result.lost is not None:
+        low, high = result.lost.ends(estimate.probability)
+        yield UncertaintySource(
+            kind="lost",
+            name=f"{result.lost.count} rollouts that could not be simulated",
+            low=low,
+            high=high,
+            note="",
+            narrowed_by="a simulator that does not break at them",
+        )
     if (reference := result.reference) is not None:
         sampled = "exact reference (+- 2 standard errors)"
         yield UncertaintySource(

@@ -62,16 +62,21 @@ def with_workers(
         ConfigError: These could not help, see :func:`check_workers`, or the cluster cannot be used.
     """
     check_workers(experiment, workers=workers, scheduler=scheduler)
-    limit_s = experiment.problem.step_time_limit_s
+    limit_s, loses = experiment.problem.step_time_limit_s, experiment.config.lost != "end"
     if scheduler is not None:
         with cluster_pool(scheduler) as (submit, count):
-            yield _simulated_by(experiment, PooledRunner(submit, count, limit_s=limit_s))
-    elif workers is not None and workers > 1:
+            runner = PooledRunner(submit, count, limit_s=limit_s, loses=loses)
+            yield _simulated_by(experiment, runner)
+    elif workers is not None and (workers > 1 or loses):  # one too outlives what this would not
         with ProcessPool(workers) as pool:
-            runner = PooledRunner(pool.submit, workers, renew=pool.renew, limit_s=limit_s)
+            runner = PooledRunner(
+                pool.submit, workers, renew=pool.renew, limit_s=limit_s, loses=loses
+            )
             yield _simulated_by(experiment, runner)
             if runner.lost:
                 words = "what they were at was simulated again, and is as it would have been"
+                if loses:
+                    words = "what they were at was simulated again, as far as that can be done"
                 print(f"worker processes that were lost: {runner.lost}; {words}", file=sys.stderr)
     else:
         yield experiment

@@ -9,9 +9,11 @@ from typing import TypedDict, TypeVar
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
+from pemviz.config import LostName
 from pemviz.faults import SimulationError, counted_from
 from pemviz.heartbeat import StalledError, watched
 from pemviz.pem.models.protocol import Pem
+from pemviz.sampling.rollouts.losing import lost_at, lost_rows
 from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.runners import (
     BatchRunner,
@@ -40,6 +42,8 @@ from pemviz.types import (
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
+OF_LOST = 1e-6
+"""Robustness of a lost rollout is at least so far from 0, on the side that it counts on."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,7 @@ class Problem:
             held, beside what is learned from.
         rules: Robustness and verdict of each rule by name, where the specification is that
             several are kept; they are scored beside it.
+        lost: What a rollout counts as that could not be simulated to its end.
     """
 
     simulator: Simulator
@@ -129,6 +134,7 @@ class Problem:
     turns: int = 1
     thins: bool = False
     rules: Mapping[str, ScoredRule] = field(default_factory=dict[str, ScoredRule])
+    lost: LostName = "end"
 
     def without_rules(self) -> "Problem":
         """The specification alone: that all rules are kept."""
@@ -242,12 +248,12 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
     """Robustness and verdict of rollouts, and those of each rule."""
-    robustness, violated = _scores(problem, rollouts)
+    robustness, violated = _scores(problem, rollouts, lost=problem.lost)
     return ScoredRollouts(
         rollouts=rollouts,
         robustness=robustness,
         violated=violated,
-        **rule_scores(problem.rules, rollouts),
+        **rule_scores(problem, rollouts),
     )
 
 
@@ -258,9 +264,9 @@ class RuleScores(TypedDict):
     broken: Mapping[str, BoolArray]
 
 
-def rule_scores(rules: Mapping[str, ScoredRule], rollouts: RolloutBatch) -> RuleScores:
+def rule_scores(problem: Problem, rollouts: RolloutBatch) -> RuleScores:
     """Robustness and verdict of rollouts under each rule."""
-    scores = {name: _scores(rule, rollouts) for name, rule in rules.items()}
+    scores = {n: _scores(rule, rollouts, lost=problem.lost) for n, rule in problem.rules.items()}
     return {
         "rule_robustness": {name: robustness for name, (robustness, _) in scores.items()},
         "broken": {name: broken for name, (_, broken) in scores.items()},
@@ -281,8 +287,32 @@ def ranked(problem: Problem, signals: Signals) -> FloatArray:
     return np.where(violated, np.minimum(robustness, just_below), np.maximum(robustness, 0.0))
 
 
-def _scores(by: Problem | ScoredRule, rollouts: RolloutBatch) -> tuple[FloatArray, BoolArray]:
+def _scores(
+    by: Problem | ScoredRule, rollouts: RolloutBatch, *, lost: LostName
+) -> tuple[FloatArray, BoolArray]:
     robustness = by.robustness(rollouts.signals)
-    if by.violated is None:
-        return robustness, robustness < 0.0
-    return robustness, by.violated(rollouts.signals)
+    violated = robustness < 0.0 if by.violated is None else by.violated(rollouts.signals)
+    row = np.flatnonzero(lost_rows(rollouts))
+    if row.size == 0:
+        return robustness, violated
+    counts = np.ones(row.size, dtype=np.bool_)
+    if lost == "none":
+        counts = violated_before(by.monitor, rollouts.take(row))
+    robustness, violated = robustness.copy(), violated.copy()
+    own = robustness[row]
+    below, above = np.minimum(own, -OF_LOST), np.maximum(own, OF_LOST)
+    robustness[row], violated[row] = np.where(counts, below, above), counts
+    return robustness, violated
+
+
+def violated_before(monitor: Monitor | None, rollouts: RolloutBatch) -> BoolArray:
+    """Which of rollouts that are lost had violated by then, whatever came next, ``[N]``."""
+    found = np.zeros(rollouts.count, dtype=np.bool_)
+    if monitor is None:
+        return found
+    known, last = monitor.start(count=rollouts.count), lost_at(rollouts)
+    for step in range(rollouts.detected.shape[1] + 1):
+        signals = {name: values[:, step] for name, values in rollouts.signals.items()}
+        known = monitor.advance(known, step=step, signals=signals)
+        found |= (step == last) & monitor.violated(known)
+    return found

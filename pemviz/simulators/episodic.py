@@ -226,7 +226,7 @@ class SideBySide:
         except BaseException as error:  # an environment may raise anything
             rollouts = range(row, row + 1)
             what = f"simulator {self.name}: {what}"
-            blame(error, what, step=self.running.step, rollouts=rollouts)
+            blame(error, what, step=self.running.step, rollouts=rollouts, breaks=True)
 
     def _checked(self, values: Any) -> Mapping[str, float]:
         declared = {signal.name for signal in self.signals}

@@ -155,7 +155,8 @@ def begun(
         given = np.zeros((count, latents)) if start is None else start
         return _states(scenario, scenario.initial(count=count, start=given))
     except BaseException as error:  # theirs may raise anything
-        blame(error, f"simulator {simulator.name}: initial", step=0, rollouts=range(count))
+        what = f"simulator {simulator.name}: initial"
+        blame(error, what, step=0, rollouts=range(count), breaks=True)
 
 
 def stepped(
@@ -215,4 +216,5 @@ def _evaluated(simulator: Any, what: str, states: StateBatch, call: Callable[[],
             turns, part = getattr(part, "turns", turns), inner
         step = int(states.step) // turns if np.ndim(states.step) == 0 else None
         rollouts = range(len(next(iter(states.signals.values()))))
-        blame(error, f"simulator {simulator.name}: {what}", step=step, rollouts=rollouts)
+        what = f"simulator {simulator.name}: {what}"
+        blame(error, what, step=step, rollouts=rollouts, breaks=True)

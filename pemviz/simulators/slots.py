@@ -9,7 +9,7 @@ An unrolled outcome says whether the slot's outcome is its nominal one; False is
 an obstacle, a report of a ghost. An absent slot's outcome is nominal for certain.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, cast, runtime_checkable
@@ -206,6 +206,19 @@ class UnrolledSimulator:
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The states after a turn whose outcome is nominal where ``detected [N]``."""
+
+        def move(own: StateBatch, reported: BoolArray) -> StateBatch:
+            return stepped(self.scenario, own, reported, noise)
+
+        return self.turned(states, detected, move)
+
+    def turned(
+        self,
+        states: StateBatch,
+        detected: BoolArray,
+        move: Callable[[StateBatch, BoolArray], StateBatch],
+    ) -> StateBatch:
+        """The same where ``move`` leads from the scenario's states and outcomes ``[N, K]`` on."""
         turn = int(states.step) % self.turns
         error = ~(detected | states.memory[CERTAIN])
         sight = self._sight(states)
@@ -215,7 +228,7 @@ class UnrolledSimulator:
             errors[f"{ERROR}{turn}"] = error
             return self._in_turn(own, errors, turn=turn + 1, step=states.step + 1)
         by_slot = np.stack([*errors.values(), error], axis=-1)
-        after = stepped(self.scenario, own, by_slot ^ self.nominal, noise)
+        after = move(own, by_slot ^ self.nominal)
         if after.beside.get(SIGHT) is sight:  # handed on with the rest of the states before
             after = replace(after, beside={})
         none = np.zeros(detected.shape, dtype=np.bool_)

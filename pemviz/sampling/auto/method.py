@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from pemviz.arrays import AnyArray, FloatArray
+from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.binomial import exact_interval
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.estimates.diagnostics import plain_disagreement, undermining
@@ -42,6 +42,7 @@ from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.stages import MixtureState
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, part_sizes, weighed
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.seeds import stage_seeds
 from pemviz.types import Estimate, ScoredRollouts, StageResult
 
@@ -63,10 +64,17 @@ SECONDS = "seconds"
 
 @dataclass(frozen=True)
 class PlainStage:
-    """Plain rollouts: what a count needs of them, and what proposals do."""
+    """Plain rollouts: what a count needs of them, and what proposals do.
+
+    Attributes:
+        weighed: All of them.
+        row: Which violate, or are lost, ascending, ``[F]``.
+        chosen: These.
+    """
 
     weighed: WeighedRollouts
-    violating: ScoredRollouts
+    row: IntArray
+    chosen: ScoredRollouts
 
 
 @dataclass(frozen=True)
@@ -180,7 +188,8 @@ class AutoSampling:
             repetition=state.repetition,
             stage=stage,
         )
-        done = PlainStage(weighed(scored), scored.take(np.flatnonzero(scored.violated)))
+        row = np.flatnonzero(scored.violated | lost_rows(scored.rollouts)).astype(np.int64)
+        done = PlainStage(weighed(scored), row, scored.take(row))
         result = final_stage(
             repetition=state.repetition, stage=stage, scored=scored, sampled_from=PemProposal()
         )
@@ -217,8 +226,11 @@ class AutoSampling:
             more = int(wanted) - last
             parts = part_sizes(more, largest=self.mixture.largest_part) if more > 0 else ()
             return replace(state, sizes=(last, *parts), first_counted=len(state.plain) - 1)
-        violating = ScoredRollouts.concatenate([part.violating for part in state.plain])
-        plain = PlainRollouts(count, so_far.row, violating)
+        counts = [part.weighed.count for part in state.plain]
+        firsts = np.cumsum([0, *counts])[:-1].tolist()
+        row = np.concatenate([p.row + first for p, first in zip(state.plain, firsts, strict=True)])
+        chosen = ScoredRollouts.concatenate([part.chosen for part in state.plain])
+        plain = PlainRollouts(count, row, chosen)
         begun = self.mixture.init(problem, repetition=state.repetition, plain=plain)
         return replace(state, proposing=Proposing(self.mixture, begun))
 

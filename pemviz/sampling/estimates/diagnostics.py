@@ -62,6 +62,18 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         reason="{:.0%} of the rollouts that were simulated again went otherwise",
         remedy="make the same outcomes give the same rollout; declare as latents what is random",
     ),
+    # counted as violations they can only raise an answer
+    "lost-rollouts": Meaning(
+        phrase="could not be simulated and count as",
+        undermines=NOTHING,
+        in_repetitions="there were rollouts that could not be simulated",
+    ),
+    "lost-matter": Meaning(
+        phrase="had they violated",
+        undermines=ALL,
+        in_repetitions="rollouts that could not be simulated would change the answer",
+        remedy="--lost violation, or a simulator that does not break there",
+    ),
     "no-failure": Meaning(
         phrase="no failure",
         undermines=ALL_BUT_COUNTS,
@@ -320,6 +332,32 @@ def not_repeatable(*, repeated: int, differing: int, example: str) -> Sequence[D
         return ()
     text = f"{differing} of {repeated} rollouts simulated again went otherwise ({example})"
     return (Diagnostic("not-repeatable", differing / repeated, 0.0, text),)
+
+
+def lost_rollouts(
+    *,
+    counts_as: Literal["violation", "none"],
+    count: int,
+    rollouts: int,
+    probability: float,
+    otherwise: float,
+    std_error: float,
+) -> Sequence[Diagnostic]:
+    """Of any estimate, some of whose ``rollouts`` could not be simulated to their end.
+
+    ``probability`` is that of one of these; if they counted otherwise, the answer would be
+    ``otherwise``.
+    """
+    said = f"{count} of {rollouts} rollouts could not be simulated"
+    share = count / rollouts
+    if counts_as == "violation":
+        text = f"{said} and count as violations; without them the answer would be {otherwise:.2g}"
+        return (Diagnostic("lost-rollouts", share, None, text),)
+    if probability <= std_error:
+        text = f"{said} and count as none; as violations they would make it {otherwise:.2g}"
+        return (Diagnostic("lost-rollouts", share, None, text),)
+    text = f"{said}: had they violated, the answer would be {otherwise:.2g}"
+    return (Diagnostic("lost-matter", probability, std_error, text),)
 
 
 def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnostic]:

@@ -44,13 +44,13 @@ class PlainRollouts:
 
     Attributes:
         count: How many.
-        row: Which of them violate, ascending, ``[F]``.
-        violating: These.
+        row: Which of them violate, or are lost, ascending, ``[F]``.
+        chosen: These.
     """
 
     count: int
     row: IntArray
-    violating: ScoredRollouts
+    chosen: ScoredRollouts
 
 
 @dataclass(frozen=True)

@@ -126,10 +126,10 @@ def extended(
 
 
 def with_plain(plain: PlainRollouts, terms: Terms) -> Pool:
-    """The pool of plain rollouts alone, of which those that violate are known."""
+    """The pool of plain rollouts alone, of which those that violate, or are lost, are known."""
     return extended(
         None,
-        Joining(plain.violating, plain.row),
+        Joining(plain.chosen, plain.row),
         component=np.full(plain.count, balance.PLAIN, dtype=np.int64),
         new=(),
         terms=terms,

@@ -40,6 +40,7 @@ from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.state.composed import with_component
 from pemviz.sampling.state.violated import EachRule, Monitored
 from pemviz.sampling.subset.exploring import Explored
@@ -417,14 +418,15 @@ class SampledStage:
         return self.scored.rollouts.count if self.sampled is None else self.sampled.count
 
     def joining_beside(self, component: IntArray) -> Joining:
-        """Those that join to be learned from: of plain ones what violates; the others count.
+        """Those that join: of plain ones what violates, or is lost; the others count.
 
         ``component`` is what each was sampled from, ``[N]``.
         """
         scored = self.joining.scored
         if self.joining.row is not None or not (component == PLAIN).any():
             return self.joining
-        row = np.flatnonzero(scored.violated | (component != PLAIN)).astype(np.int64)
+        joins = scored.violated | (component != PLAIN) | lost_rows(scored.rollouts)
+        row = np.flatnonzero(joins).astype(np.int64)
         return Joining(scored.take(row), row)
 
 

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, Rows, row_sums
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.types import RolloutBatch, SampledRollouts, ScoredRollouts, outcome_log_likelihood
 
 LARGEST_PART = 20_000
@@ -228,6 +229,7 @@ class Thinned:
             least = least[(violated & holds) | ((violated != holds) & (own < robustness))]
         stays = row % self.every == 0
         stays[least] = True
+        stays |= lost_rows(scored.rollouts)
         for robustness in (scored.robustness, *scored.rule_robustness.values()):
             stays[np.argsort(robustness, kind="stable")[:LISTED]] = True
         return np.flatnonzero(stays).astype(np.int64)

@@ -11,9 +11,12 @@ from concurrent.futures import BrokenExecutor, Future, as_completed, wait
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
+from pemviz.cluster import worker_was_killed
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED
+from pemviz.sampling.rollouts.apart import simulate_apart
+from pemviz.sampling.rollouts.losing import marked, without_the_rest
 from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
@@ -33,7 +36,7 @@ Timed = tuple[RolloutBatch, float]
 
 
 class LostError(Exception):
-    """A worker was lost with what it was at."""
+    """A worker was lost with what it was at, or what it was at broke the simulator."""
 
 
 @dataclass
@@ -51,6 +54,8 @@ class PooledRunner:
         renew: Ends all workers and starts others, where one is lost; ``None``: what submits sees
             to it itself.
         limit_s: A worker that a piece has waited for so long is lost [s]; ``None``: never.
+        loses: Whether a rollout that cannot be simulated is kept as far as it came, in place of a
+            fault; see :mod:`pemviz.sampling.rollouts.losing`.
         lost: How many workers were lost so far.
     """
 
@@ -58,6 +63,7 @@ class PooledRunner:
     workers: int
     renew: Callable[[], None] | None = None
     limit_s: float | None = None
+    loses: bool = False
     lost: int = field(default=0, init=False)
     _took_s: deque[float] = field(
         default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
@@ -125,8 +131,9 @@ class PooledRunner:
         """What a worker returns, once it does.
 
         Raises:
-            LostError: It died, or takes too long; others are there.
-            SimulationError: Likewise, and no others can be started.
+            LostError: It died, or takes too long, and others are there; or what it is at breaks the
+                simulator, and that is no fault.
+            SimulationError: Something raised, or no other workers can be started.
         """
         wait([future], timeout=self.limit_s)
         if not future.done():
@@ -137,6 +144,17 @@ class PooledRunner:
         except BrokenExecutor as error:
             what, why = DIED.split(": ", 1)
             self._replace(LostError(why), what=what, cause=error)
+        except SimulationError as error:
+            if not (self.loses and error.broke):
+                raise
+            raise LostError(str(error)) from error
+        except Exception as error:
+            if not worker_was_killed(error):
+                raise
+            self.lost += 1  # the cluster has others
+            raise LostError("killed, or the machine is out of memory") from error
+        if self.loses:
+            rollouts = marked(rollouts)
         self._took_s.append(took_s / rollouts.count)
         return rollouts
 
@@ -187,6 +205,8 @@ class _Piece:
         except LostError as error:
             lost += 1
             if len(task.uniforms) == 1 and lost >= MOST_LOST:
+                if self.runner.loses:
+                    return self._as_far_as_it_came(task, error)
                 what = f"{lost} worker processes were lost one after the other"
                 raise SimulationError(what, why=str(error), rollouts=range(1)) from error
         parts: list[RolloutBatch] = []
@@ -195,17 +215,43 @@ class _Piece:
                 parts.append(self.alone(half, lost=lost))
         return RolloutBatch.concatenate(parts)
 
+    def _as_far_as_it_came(self, task: BatchTask, lost: LostError) -> RolloutBatch:
+        """A rollout that cannot be simulated; where only its process tells how far, in another."""
+        fault = SimulationError("a rollout cannot be begun", why=str(lost), rollouts=range(1))
+        broke = lost.__cause__ if isinstance(lost.__cause__, SimulationError) else None
+        if broke is None:
+            limit_s = self.runner.limit_s
+            came = simulate_apart(self._simulator, self._pem, task, limit_s=limit_s)
+            if came.rollouts is not None:
+                return marked(came.rollouts)
+            outcomes = len(came.given)
+        else:
+            outcomes = broke.outcomes
+
+        def simulate(stays: BatchTask) -> RolloutBatch:
+            try:
+                return self.runner.answer(self._submit(stays))
+            except LostError as error:
+                again = SimulationError(str(error))
+                again.broke, again.outcomes = True, stays.stays_from
+                raise again from error
+
+        return without_the_rest(outcomes, task, fault, simulate)
+
 
 def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
     """The first of the batches that are under way."""
     parts: list[RolloutBatch] = []
     for piece in ahead[0]:
+        runner = piece.runner
         with counted_from(sum(part.count for part in parts)):
+            before = runner.lost
             try:
-                parts.append(piece.runner.answer(piece.future))
+                parts.append(runner.answer(piece.future))
             except LostError:
                 parts.append(piece.alone(piece.task, lost=1))
-                for other in itertools.chain.from_iterable(ahead):
+                ended = runner.renew is not None and runner.lost > before
+                for other in itertools.chain.from_iterable(ahead) if ended else ():
                     if other is not piece:
                         other.hand_in_if_lost()
     return RolloutBatch.concatenate(parts)

@@ -17,6 +17,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.latents import Latents, StandardNormals
 from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import ROUNDING
@@ -65,11 +66,15 @@ def repeat_some(
     """Simulate a share of a stage's rollouts again, with the same outcomes and latents.
 
     Half of them are the violations that weigh most, as they carry the answer; the others lie evenly
-    over the stage. On a ``twin`` whose start is the simulator's, they are simulated too.
+    over the stage. On a ``twin`` whose start is the simulator's, they are simulated too. Those that
+    cannot be simulated to their end are none of them.
 
     Raises:
         SimulationError: What is simulated raises something, or takes too long.
     """
+    scored = scored.take(~lost_rows(scored.rollouts)) if problem.lost != "end" else scored
+    if scored.rollouts.count == 0:
+        return Repeats()
     some = scored.take(_chosen(scored))
     once = some.rollouts
     task = task_of(once.detected, once.latents)

@@ -33,11 +33,13 @@ class BatchTask:
         proposal: What outcomes are sampled from.
         uniforms: ``[N, T-1]``; see :func:`pemviz.sampling.rollouts.simulate.simulate`.
         normals: Of N rollouts of a scenario with latents.
+        stays_from: As there.
     """
 
     proposal: Proposal
     uniforms: FloatArray
     normals: StandardNormals | None = None
+    stays_from: int | None = None
 
     def split(self, pieces: int) -> "Sequence[BatchTask]":
         """The same rollouts as at most ``pieces`` tasks, in order."""
@@ -50,7 +52,8 @@ class BatchTask:
     def take(self, rows: slice) -> "BatchTask":
         """Some of the rollouts."""
         normals = None if self.normals is None else self.normals.take(rows)
-        return BatchTask(of_rows(self.proposal, rows), self.uniforms[rows], normals)
+        own = of_rows(self.proposal, rows)
+        return BatchTask(own, self.uniforms[rows], normals, self.stays_from)
 
 
 BatchRunner = Callable[[Simulator, Pem, Iterable[BatchTask]], Iterator[RolloutBatch]]
@@ -71,6 +74,7 @@ def by_numpy(simulator: Simulator, pem: Pem, task: BatchTask) -> RolloutBatch:
         proposal=task.proposal,
         uniforms=task.uniforms,
         normals=task.normals,
+        stays_from=task.stays_from,
     )
 
 

@@ -1,7 +1,7 @@
 """Rollouts: the scenario stepped with outcomes and latents sampled from a proposal."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
@@ -13,10 +13,17 @@ from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
 from pemviz.pem.models.protocol import DetectorModel
 from pemviz.proposals.latent_moves import log_waiting
 from pemviz.sampling.slots import turns_of
-from pemviz.sampling.state.composed import kept_with_rollouts
+from pemviz.sampling.state.composed import kept_with_rollouts, stayed
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import begun, salient_of, stepped
-from pemviz.types import MovesLatents, Proposal, RolloutBatch, Simulator, StateBatch
+from pemviz.types import (
+    MovesLatents,
+    Proposal,
+    RolloutBatch,
+    Simulator,
+    StateBatch,
+    tells_violation,
+)
 
 SPAWN_KEY, CHOICE_KEY = 2**32 - 1, 2**32 - 2
 """Of the children of a stage's seeds that latents come from; others count from 0."""
@@ -164,12 +171,15 @@ def simulate(
     uniforms: FloatArray,
     normals: StandardNormals | None = None,
     tell: Tell | None = None,
+    stays_from: int | None = None,
 ) -> RolloutBatch:
     """Roll out the scenario once for each row of ``uniforms``.
 
     These are independent uniforms ``[N, T-1]`` from [0, 1); a step misses where its own is below
     the probability of a miss under the proposal. Of environments side by side, as many rollouts
-    are carried out at a time as there are. What each step is given goes to ``tell``.
+    are carried out at a time as there are. What each step is given goes to ``tell``. From the
+    outcome with the index ``stays_from`` on the simulator steps no more: signals stay as they are,
+    nothing is left to gain, and outcomes go on.
 
     Raises:
         SimulationError: A part of the user's raises something, or gives what does not fit.
@@ -187,6 +197,7 @@ def simulate(
                     uniforms=uniforms[rows],
                     normals=None if normals is None else normals.take(rows),
                     tell=tell,
+                    stays_from=stays_from,
                 )
             parts.append(part)
         return RolloutBatch.concatenate(parts)
@@ -201,6 +212,7 @@ def simulate(
         uniforms=uniforms.T,
         track=track,
         tell=tell,
+        stays_from=stays_from,
     )
 
 
@@ -213,9 +225,10 @@ def _roll_out(
     uniforms: FloatArray,
     track: LatentTrack | None = None,
     tell: Tell | None = None,
+    stays_from: int | None = None,
 ) -> RolloutBatch:
     """Rollouts from initial ``states [N]`` for ``uniforms [T-1, N]``, latents by ``track``."""
-    steps, step = uniforms.shape[0], 0
+    steps, step, outcomes = uniforms.shape[0], 0, 0
     detected = np.empty(uniforms.shape, dtype=np.bool_)
     under_pem = np.empty(uniforms.shape)
     under_proposal = np.empty(uniforms.shape)
@@ -229,11 +242,17 @@ def _roll_out(
             noise = None if track is None else track.noise(step, states, detected[step], proposal)
             if tell is not None:
                 tell(step, states, detected[step], noise)
-            states = stepped(simulator, states, detected[step], noise)
+            outcomes = step + 1
+            if stays_from is None or step < stays_from:
+                states = stepped(simulator, states, detected[step], noise)
+            else:
+                states = _over(stayed(simulator, states, detected[step]))
             signals.record(step + 1, states.signals)
             memory.record(step + 1, kept_with_rollouts(states.memory))
     except BaseException as error:  # parts of the user's may raise anything
         rollouts = range(uniforms.shape[1])
+        if isinstance(error, SimulationError):
+            error.outcomes = outcomes
         blame(error, "proposal", step=step // turns_of(simulator), rollouts=rollouts)
     return RolloutBatch(
         signals=signals.by_rollout(),
@@ -243,6 +262,12 @@ def _roll_out(
         proposal_logit=under_proposal.T,
         latents=None if track is None else track.latents,
     )
+
+
+def _over(states: StateBatch) -> StateBatch:
+    """States ``[N]`` as after a violation, from which on proposals leave the error model be."""
+    told = {n: np.ones_like(v) for n, v in states.memory.items() if tells_violation(n)}
+    return replace(states, memory={**states.memory, **told})
 
 
 def logit_of(pem: DetectorModel, salient: FloatArray, *, step: int | None = None) -> FloatArray:

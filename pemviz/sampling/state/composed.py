@@ -65,7 +65,12 @@ class ComposedSimulator(WrappedSimulator):
         self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
     ) -> StateBatch:
         """The scenario's next states after outcomes ``[N]``."""
-        reached = stepped(self.scenario, self.scenario_states(states), detected, noise)
+        return self.followed(
+            states, detected, stepped(self.scenario, self.scenario_states(states), detected, noise)
+        )
+
+    def followed(self, states: StateBatch, detected: BoolArray, reached: StateBatch) -> StateBatch:
+        """The scenario's states that were ``reached`` after outcomes ``[N]``, with components'."""
         try:
             for one in self.components:
                 reached = _with(reached, one.next(states, detected, reached, self.own_logit))
@@ -362,6 +367,23 @@ def as_member(pem: Pem, *, like: Pem) -> Pem:
     if isinstance(like, ChainModel):
         return OtherModel(pem, like.properties)
     return ComposedPem(pem, like.properties) if isinstance(like, ComposedPem) else pem
+
+
+def stayed(simulator: Simulator, states: StateBatch, detected: BoolArray) -> StateBatch:
+    """The next states after outcomes ``[N]`` if the scenario moves no more.
+
+    What else outcomes tell goes on.
+    """
+    if isinstance(simulator, ComposedSimulator):
+        own = simulator.scenario_states(states)
+        return simulator.followed(states, detected, stayed(simulator.scenario, own, detected))
+    if isinstance(simulator, UnrolledSimulator):
+        return simulator.turned(states, detected, _unmoved)
+    return _unmoved(states, detected)
+
+
+def _unmoved(states: StateBatch, detected: BoolArray) -> StateBatch:  # noqa: ARG001  whatever it is
+    return replace(states, step=states.step + 1)
 
 
 def own_pem(pem: Pem) -> Pem:
