@@ -21,7 +21,7 @@ from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.run_folder import carry_out, create_run_folder
-from pemviz.runs.workers import check_workers
+from pemviz.runs.workers import check_workers, no_use
 
 
 def record(arguments: RecordArguments) -> int:
@@ -39,7 +39,7 @@ def record(arguments: RecordArguments) -> int:
         return _report_done(arguments, left, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
-    for note in arguments.notes:
+    for note in (*arguments.notes, *_own_process_notes(arguments, experiment)):
         print(f"pemviz: {note}", file=sys.stderr)
     folder = arguments.source.resume or create_run_folder(
         arguments.out, label=arguments.experiment.method
@@ -65,6 +65,15 @@ def record(arguments: RecordArguments) -> int:
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
     return gate_exit_code(result, limits=arguments.limits)
+
+
+def _own_process_notes(arguments: RecordArguments, experiment: Experiment) -> Sequence[str]:
+    """What cannot be lost without the run, where this process simulates alone."""
+    lost, elsewhere = experiment.config.lost, arguments.workers or arguments.scheduler
+    if lost == "end" or elsewhere or no_use(experiment):
+        return ()
+    words = "what the simulator raises is survived; where it may abort or stall, add --workers 1"
+    return (f"lost = {lost}: {words}",)
 
 
 def _carry_out(

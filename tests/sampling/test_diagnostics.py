@@ -27,6 +27,7 @@ from pemviz.sampling.estimates.diagnostics import (
     count_diagnostics,
     exploration_alone,
     hardly_sampled,
+    lost_rollouts,
     not_absorbing,
     not_repeatable,
     parts_disagreement,
@@ -307,6 +308,7 @@ def one_of_each_kind():
     """Kind to its diagnostics, made where methods make them."""
     figures = WeightFigures(ess=2.0, pareto_k=1.0, max_weight_share=0.5, tail_load=5.0)
     asked = {"rollouts": 100, "upper": 0.03, "confidence": 0.95}
+    lost = {"count": 3, "rollouts": 100, "otherwise": 0.1, "std_error": 0.01}
     estimate = weighted(np.ones(30))
     every = [
         *count_diagnostics(failures=0, **asked),
@@ -318,6 +320,9 @@ def one_of_each_kind():
         *width_diagnostics(probability=1e-9, low=1e-10, high=2e-9),
         not_absorbing(),
         *not_repeatable(repeated=20, differing=1, example="gap 1 and 2 at step 3"),
+        *lost_rollouts(counts_as="violation", probability=0.03, **lost),
+        *lost_rollouts(counts_as="none", probability=0.001, **lost),
+        *lost_rollouts(counts_as="none", probability=0.03, **lost),
         *unreliable_reference(["its tail is heavy"]),
         *called_safe(0.1, relative_error=0.01),
         *parts_disagreement(late=3.5, halves=1.0),
