@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pemviz
-from pemviz.reports.gate import decide_gate
+from pemviz.reports.gate import decide_run
 from pemviz.runs.events import StageDone
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out
@@ -148,12 +148,12 @@ def test_the_answer_says_what_it_would_be_otherwise_and_what_may_be_decided():
     assert f"count as violations; without them the answer would be {low:.2g}" in text
     (row,) = [one for one in uncertainty_budget(counted) if one.kind == "lost"]
     assert (row.low, row.high) == (low, high)
-    assert decide_gate(counted, fail_above=0.9).outcome == "passed"
+    assert decide_run(counted, limit=0.9).outcome == "passed"
     left_out = pemviz.run(experiment("raises", final_rollouts=400, lost="none"))
     low, high = left_out.lost.ends(left_out.estimate.probability)
     assert (low, high) == pytest.approx(counted.lost.ends(counted.estimate.probability))
     assert f"had they violated, the answer would be {high:.2g}" in pemviz.summary_text(left_out)
-    assert decide_gate(left_out, fail_above=0.9).outcome == "undecided"
+    assert decide_run(left_out, limit=0.9).outcome == "undecided"
 
 
 def test_several_rules_are_all_broken_by_what_counts_as_a_violation():

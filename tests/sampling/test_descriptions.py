@@ -41,7 +41,7 @@ NOT_THE_METHODS = {
     "method", "metric", "spec", "pem", "simulator", "smooth_beta_per_m", "repetitions",
     "step_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
     "plan", "rules", "frailty", "position_errors", "encounter", "start", "encounters_per_hour",
-    "keep", "sumo", "carla", "assumed_memory_s", "measured_memory",
+    "keep", "sumo", "carla", "assumed_memory_s", "measured_memory", "lost",
 }  # fmt: skip
 
 
