@@ -93,6 +93,8 @@ _HOMES = {
     "types": "Estimate Proposal RolloutBatch Signal Simulator StateBatch",
 }
 """Which names, by the module that defines them."""
+_MODULES = ("figures", "pem", "quantiles")
+"""Those of which pages write ``pemviz.pem.load_pem``."""
 
 __all__ = [
     "AlphaBeta", "BoolArray", "ConfigError", "DetectorEpisodes",
@@ -115,6 +117,8 @@ def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names.split():
             return getattr(import_module(f"pemviz.{home}"), name)
+    if name in _MODULES:
+        return import_module(f"pemviz.{name}")
     message = f"module 'pemviz' has no attribute {name!r}"
     raise AttributeError(message)
 

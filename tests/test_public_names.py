@@ -53,3 +53,8 @@ def test_types_and_configurations_need_only_numpy():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_modules_that_pages_name_are_there_without_an_import():
+    code = "import pemviz; pemviz.pem.load_pem; pemviz.figures.causes; pemviz.quantiles.log_normal"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

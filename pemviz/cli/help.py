@@ -20,6 +20,7 @@ MORE = "more"
 """The topic of options that no other has."""
 WIDEST = 100
 INDENT = 6
+SWITCHED_OFF = "Switches off what is done by default: "
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ def help_text(page: HelpPage, topic: str, kind: type, *, default: object | None)
         return _topic_text(page, topic, by_topic[topic])
     named = {option.name: option for options in by_topic.values() for option in options}
     wanted = topic.replace("-", "_")
+    wanted = wanted.removeprefix("no_") if wanted not in named else wanted
     if wanted in named:
         return _option_text(named[wanted])
     allowed = f"{', '.join(by_topic)}, or an option's name"
@@ -126,14 +128,15 @@ def options_of(kind: type, default: object | None = None, *, table: str = "") ->
             continue
         positional = tyro.conf.Positional in marks
         name = f"{table}{one.name}"
-        off = "no-" * (base is bool and one.default is True)  # what is on is switched off
+        is_on = base is bool and value is True  # and the option switches it off
+        off, text = "no-" * is_on, docs.get(one.name, "")
         typed = one.name.upper() if positional else f"--{off}{name.replace('_', '-')}"
         repeated = tyro.conf.UseAppendAction in marks
         yield Option(
             name,
             f"{typed} {'' if positional else _values(base)}{' ...' * repeated}".rstrip(),
-            docs.get(one.name, ""),
-            _default_text(value),
+            f"{SWITCHED_OFF}{text[:1].lower()}{text[1:]}" if is_on else text,
+            "" if is_on else _default_text(value),
         )
 
 

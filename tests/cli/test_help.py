@@ -54,7 +54,9 @@ def test_all_of_help_has_every_option_once(capsys, command):
     everything = shown(capsys, *command.split(), HELP_ALL)
     heads = re.findall(r"^  (--[a-z][\w.-]*)", everything, flags=re.MULTILINE)
     assert len(set(heads)) == len(heads)
-    assert set(heads) == option_names(command)
+    # a preset's value decides whether an option switches on or off
+    either = {one.replace("--no-", "--") for one in option_names(command)}
+    assert {head.replace("--no-", "--") for head in heads} == either
 
 
 def test_a_topic_and_a_single_option_are_explained(capsys):
@@ -65,6 +67,13 @@ def test_a_topic_and_a_single_option_are_explained(capsys):
     assert one.startswith("  --memory-s")
     assert "--frailty" not in one
     assert "town01" in shown(capsys, "record", "--seed", "3", "-h", "--json")
+
+
+def test_an_option_that_switches_off_says_so(capsys):
+    for topic in ("measured-memory", "no-measured-memory"):
+        option = shown(capsys, "record", "--help", topic)
+        assert option.startswith("  --no-measured-memory\n      Switches off what is done")
+        assert "[True]" not in option
 
 
 def test_a_preset_s_values_stand_in_a_topic(capsys):
