@@ -154,7 +154,7 @@ def _run(run: CaseRun, *, below: float | None, prefix: str) -> str:
     result, config, document = run.result, run.result.config, run_document(run.result)
     named = ", ".join(rule.name for rule in config.rules) or config.spec
     about = f"{named}; {scenario_text(config)}; error model {result.pem.name}; seed {config.seed}"
-    no_plan = (Paragraph("This run made no plan: pemviz record makes one unless --no-plan is given."),)
+    no_plan = (Paragraph("This run made no plan: a run without --no-plan makes one."),)
     evidence = (html.heading(e.title) + html.blocks_html(e.full) for e in _evidence(run, document))
     parts = [
         ("Claim", html.blocks_html(_claim_blocks(result, below=below))),
