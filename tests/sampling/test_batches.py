@@ -24,6 +24,7 @@ from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.runners import BatchTask, CompiledRunner, run_here
 from pemviz.sampling.rollouts.simulate import simulate
@@ -181,6 +182,30 @@ def test_a_worker_that_stalls_is_replaced_as_one_that_died(with_one_alike, tmp_p
             sampled(replace(problem, simulator=replace(once, once=""), run_batches=runner))
     finally:
         released.set()
+
+
+def test_what_a_worker_imports_is_no_rollout_s_time(with_one_alike):
+    """Threads take part as workers, which are there only after longer than a rollout may take."""
+    problem, serial, _, _ = with_one_alike
+
+    def begun():
+        return ThreadPoolExecutor(1, initializer=time.sleep, initargs=(1.6,))
+
+    pools = [begun()]
+
+    def submit(function, *arguments):
+        return pools[-1].submit(function, *arguments)
+
+    def renew():
+        pools[-1].shutdown(wait=False, cancel_futures=True)
+        pools.append(begun())
+
+    for loses in (False, True):
+        runner = PooledRunner(submit, 1, renew=renew, limit_s=0.3, loses=loses)
+        found = sampled(replace(problem, run_batches=runner))
+        assert_same_scores(found, serial)
+        assert not lost_rows(found.rollouts).any()
+        renew()
 
 
 def test_slow_rollouts_are_handed_in_one_by_one(toy_problem):

@@ -31,6 +31,9 @@ REMEMBERED = 32
 PIECE_S = 0.5
 """What a piece takes, if a rollout takes less: long beside handing it in, short beside a stage."""
 
+START_S = 120.0
+"""Within which a worker process is there."""
+
 Timed = tuple[RolloutBatch, float]
 """Rollouts, and how long a worker took to simulate them [s]."""
 
@@ -65,6 +68,7 @@ class PooledRunner:
     limit_s: float | None = None
     loses: bool = False
     lost: int = field(default=0, init=False)
+    _is_new: bool = field(default=True, init=False)
     _took_s: deque[float] = field(
         default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
     )
@@ -127,6 +131,14 @@ class PooledRunner:
                 if 2 * len(self._took_s) >= len(futures):
                     break
 
+    def start(self, simulator: Simulator, pem: Pem) -> None:
+        """Have a worker there that has imported what it needs, which is no rollout's time."""
+        if self.renew is None or not self._is_new:
+            return
+        with contextlib.suppress(BrokenExecutor):  # the rollout itself will say so
+            wait([self.submit(_nothing, simulator, pem)], timeout=START_S)
+        self._is_new = False
+
     def answer(self, future: Future[Timed]) -> RolloutBatch:
         """What a worker returns, once it does.
 
@@ -165,6 +177,7 @@ class PooledRunner:
         if self.renew is None:
             raise SimulationError(f"a {what}", why=str(lost)) from cause
         self.renew()
+        self._is_new = True
         raise lost from cause
 
 
@@ -200,6 +213,7 @@ class _Piece:
 
         So it is found out whether it was at fault, and which of its rollouts.
         """
+        self.runner.start(self._simulator, self._pem)
         try:
             return self.runner.answer(self._submit(task))
         except LostError as error:
@@ -255,6 +269,10 @@ def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
                     if other is not piece:
                         other.hand_in_if_lost()
     return RolloutBatch.concatenate(parts)
+
+
+def _nothing(simulator: Simulator, pem: Pem) -> None:
+    """All that comes before a batch in a worker."""
 
 
 def _timed(simulator: Simulator, pem: Pem, task: BatchTask) -> Timed:
