@@ -14,8 +14,11 @@ COMMANDS = {
 PAGES = [name for name, kind in COMMANDS.items() if hasattr(import_module(kind.__module__), "PAGE")]
 """Those whose help is a page by purpose."""
 
+BY_PRESET = {"record": {"--no-plan"}}
+"""What a preset has switched on, an option of this name switches off."""
+
 
 def option_names(command):
     """A command's options as they are typed."""
     words = (option.words.split()[0] for option in options_of(COMMANDS[command]))
-    return {word for word in words if word.startswith("--")}
+    return {word for word in words if word.startswith("--")} | BY_PRESET.get(command, set())
