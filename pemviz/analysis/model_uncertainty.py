@@ -45,7 +45,7 @@ from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, weighed
 from pemviz.sampling.state.composed import memory_of_pem, own_pem, own_salient
-from pemviz.simulators.detector_loop import DETECTOR_ITSELF
+from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
 MOST_VIOLATIONS = 2_000
@@ -374,9 +374,9 @@ def extrapolation_warnings(
 
     Models that carry no counts of their training data are met with one warning that says so.
     """
-    if pem.name == DETECTOR_ITSELF:
-        return ()
     own = own_pem(pem)
+    if isinstance(own, DetectorItself):
+        return ()
     support = support_of(own)
     if support is None:
         return (

@@ -174,7 +174,7 @@ def _record_words(arguments: AssessArguments, *own: str) -> list[str]:
         words += ["--target", f"{arguments.target:g}"]
     for limit in arguments.fail_above:
         words += ["--fail-above", limit]
-    words += ["--fail-on", arguments.fail_on] if arguments.fail_above else []
+    words += ["--fail-on", arguments.fail_on] if arguments.fail_on != "sampling" else []
     return [*words, "--out", str(arguments.out / "runs")]
 
 

@@ -100,9 +100,9 @@ class RecordArguments:
     """Exit with code 1 if the upper 95 % bound is above this probability; above 0, at most 1.
     NAME=P for one of several rules."""
     fail_on: Bound = "sampling"
-    """Which upper bound --fail-above judges: sampling, of the 95 % interval, which takes the error
-    model and its memory of misses as they are; or act-on, the upper end to act on, with all that
-    leaves the answer open: code 4 where that is not known."""
+    """Which upper bound --fail-above, with which alone it goes, judges: sampling, of the 95 %
+    interval, which takes the error model and its memory of misses as they are; or act-on, the upper
+    end to act on, with all that leaves the answer open: code 4 where that is not known."""
     summary: Path | None = None
     """Add the result as markdown to the end of this file, for instance $GITHUB_STEP_SUMMARY."""
     junit: Path | None = None

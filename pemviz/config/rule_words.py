@@ -75,8 +75,10 @@ def read_limits(
     """What ``P`` and ``NAME=P`` ask for; of several for the same the last holds.
 
     Raises:
-        ConfigError: Something is no probability, or names no rule.
+        ConfigError: Something is no probability, or names no rule; or a bound is given for nothing.
     """
+    if bound != "sampling" and not words:
+        raise ConfigError(f"fail-on = {bound}: must be given with fail-above, whose bound it is")
     names = [rule.name for rule in rules]
     found: dict[str, float] = {}
     for word in words:

@@ -35,7 +35,7 @@ from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
 from pemviz.sampling.method import AnswersRules, Method, PoolsStages
 from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
-from pemviz.simulators.detector_loop import DETECTOR_ITSELF
+from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.own_randomness import fixed_randomness
 from pemviz.types import Estimate, ScoredRollouts, StageResult
@@ -376,7 +376,7 @@ def _empty_result(experiment: Experiment, run_id: str) -> RunResult:
         pem=PemInfo(name=pem.name, digest=pem.digest, data=pem.data),
         versions=versions(),
         simulator=own_system(experiment),
-        memory=None if pem.name == DETECTOR_ITSELF else memory_of(pem),
+        memory=None if isinstance(pem, DetectorItself) else memory_of(pem),
         latents=latent_counts(experiment.problem.simulator) or None,
         position_errors=None
         if errors is None
@@ -412,7 +412,7 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
         names = ", ".join(slot.name for slot in slots)
         first = f"perception reports something or nothing, at every step, for {names}{alone}"
     memory = memory_of(experiment.pem)
-    if experiment.pem.name == DETECTOR_ITSELF:
+    if isinstance(experiment.pem, DetectorItself):
         return (OBSERVED, *(other for other in others if other != OWN_SYSTEM_ASSUMPTIONS[-1]))
     if memory.is_independent:
         return (first, INDEPENDENT, *others)

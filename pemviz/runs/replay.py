@@ -235,6 +235,14 @@ def _sampled(
             raise RunError(message, traceback_text=error.traceback_text) from error
 
 
+class _AskedError(SimulationError):
+    """What a stage asks to have simulated, in place of its rollouts."""
+
+    def __init__(self, simulator: Simulator, pem: Pem, tasks: list[BatchTask]) -> None:
+        super().__init__("asked for", rollouts=range(sum(len(one.uniforms) for one in tasks)))
+        self.simulator, self.pem, self.tasks = simulator, pem, tasks
+
+
 @dataclass
 class _Finding:
     """Carries out a stage up to the batch that has a rollout; a ``BatchRunner`` meanwhile.
@@ -246,13 +254,11 @@ class _Finding:
         runner: Simulates those.
         done: Of each request that is, in order.
         asked: How many requests there were since the stage began.
-        request: The one that is not simulated.
     """
 
     runner: BatchRunner
     done: list[list[RolloutBatch]] = field(default_factory=list[list[RolloutBatch]])
     asked: int = 0
-    request: tuple[Simulator, Pem, list[BatchTask]] | None = None
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -261,13 +267,7 @@ class _Finding:
         if self.asked <= len(self.done):
             yield from self.done[self.asked - 1]
             return
-        self.request = simulator, pem, list(tasks)
-        count = sum(len(task.uniforms) for task in self.request[2])
-        raise SimulationError("asked for", rollouts=range(count))
-
-    @property
-    def _request(self) -> tuple[Simulator, Pem, list[BatchTask]] | None:
-        return self.request
+        raise _AskedError(simulator, pem, list(tasks))
 
     def search(
         self, method: Any, problem: Problem, state: Any, *, rollout: int, where: str
@@ -279,23 +279,20 @@ class _Finding:
         """
         watched, last = replace(problem, run_batches=self, step_time_limit_s=None), -1
         while True:
-            self.asked, self.request = 0, None
-            numbers = None
+            self.asked = 0
             try:
                 method.step(watched, state)
-            except SimulationError as error:
-                numbers = error.rollouts
-                if self._request is None:
-                    raise
-            if self._request is None:
+            except _AskedError as error:
+                asked = error
+            else:
                 allowed = f"must be from 0 to {last}"
                 raise InputError(f"rollout = {rollout}: {allowed} in {where}")
-            simulator, pem, tasks = self._request
-            if numbers is not None:
-                last = max(last, numbers[-1])
-                if rollout in numbers:
-                    return simulator, pem, _row_of(tasks, rollout - numbers[0])
-            self.done.append(list(self.runner(simulator, pem, tasks)))
+            if asked.rollouts is not None:  # else they are none of the stage's
+                last = max(last, asked.rollouts[-1])
+                if rollout in asked.rollouts:
+                    row = _row_of(asked.tasks, rollout - asked.rollouts[0])
+                    return asked.simulator, asked.pem, row
+            self.done.append(list(self.runner(asked.simulator, asked.pem, asked.tasks)))
 
 
 def _replayed(

@@ -14,7 +14,7 @@ from pemviz.pem import Pem
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.folding import Folding, Signals, StepMonitor, declared_signals, folding_of
 from pemviz.sampling.problem import Problem, ScoredRule
-from pemviz.sampling.rollouts.losing import losing_here
+from pemviz.sampling.rollouts.pooled import losing_here
 from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.sampling.slots import turns_of

@@ -7,6 +7,7 @@ and what is random about a rollout is latents alone.
 """
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
@@ -51,7 +52,7 @@ class DetectorItself:
 
 
 @dataclass(frozen=True, eq=False)
-class Detecting(WrappedSimulator):
+class Detecting(WrappedSimulator, ABC):
     """A scenario with the detector itself; what both ways of stepping have in common.
 
     Attributes:
@@ -161,9 +162,9 @@ class Detecting(WrappedSimulator):
         write_text(Path(path), "\n".join([*lines, ""]))
         return len(lines) - 1
 
+    @abstractmethod
     def first_images(self) -> tuple[AnyArray, Any]:
         """Images ``[N, ...]`` that the detector is tried with, and the obstacles' boxes there."""
-        raise NotImplementedError
 
     def check_detector(self) -> None:
         """Whether the detector says the same of its first images again, and in another order.

@@ -100,6 +100,11 @@ def test_show_warns_about_the_default_scenarios_thin_data(capsys):
             "members is 1, allowed: 0, or 2 or more",
         ),
         (
+            fit.run,
+            fit.FitArguments(table=SYNTHETIC, out=Path("m.safetensors"), model="best", folds=0),
+            "folds is 0, allowed with model best: 2 or more",
+        ),
+        (
             evaluate.run,
             evaluate.EvaluateArguments(table=SYNTHETIC, folds=1),
             "folds is 1, allowed: 2 to",

@@ -202,6 +202,9 @@ def test_limits_are_read_and_refused():
         assert told in str(error.value)
     with pytest.raises(ConfigError, match="there are none"):
         read_limits(["x=0.1"], rules=())
+    assert read_limits(["0.1"], rules=(), bound="act-on") == GateLimits(0.1, bound="act-on")
+    with pytest.raises(ConfigError, match="fail-on = act-on: must be given with fail-above"):
+        read_limits([], rules=(), bound="act-on")  # or a run without a gate would look like a pass
 
 
 def test_rules_in_a_file_are_a_table(tmp_path):

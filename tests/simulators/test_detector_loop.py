@@ -9,7 +9,8 @@ import pytest
 import pemviz
 from pemviz import quantiles
 from pemviz.panel.run_summary import summary
-from pemviz.pem import load_table
+from pemviz.pem import load_pem, load_table
+from pemviz.pem.models.trees import TreesPem
 from pemviz.recording.film import film_title
 from pemviz.reports.case_runs import read_case_run
 from pemviz.reports.safety_case import safety_case_page
@@ -125,8 +126,21 @@ def test_outcomes_are_what_the_detector_says_of_the_image_of_the_state():
     assert 0 < (~rollouts.detected).sum() < rollouts.detected.size
     assert result.pem.name == "detector itself"
     assert result.is_of_detector_itself
-    namesake = replace(result, pem=replace(result.pem, digest="ab" * 32))
-    assert not namesake.is_of_detector_itself  # a model of that name is one all the same
+
+
+def test_a_model_of_that_name_is_a_model_all_the_same():
+    shipped = load_pem("rrc")
+    assert isinstance(shipped, TreesPem)
+    namesake = replace(shipped, card=replace(shipped.card, name="detector itself"))
+    config = pemviz.ExperimentConfig(
+        method="monte-carlo", final_rollouts=300, measured_memory=False, plan=False
+    )
+    result = pemviz.run(pemviz.build_experiment(config, pem=namesake))
+    assert not result.is_of_detector_itself
+    assert result.memory is not None
+    assert result.memory.tau_s > 0.2
+    assert "memory time of 0.249 s" in " ".join(result.assumptions)
+    assert any(one.startswith("extrapolation") for one in result.warnings)
 
 
 def test_neither_batches_nor_workers_nor_images_at_a_time_change_a_digit():

@@ -7,19 +7,15 @@ state, from which nothing leads away, and has the weight of its outcomes: whoeve
 may count it as he likes.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, IntArray
-from pemviz.faults import SimulationError, counted_from
-from pemviz.pem.models.protocol import Pem
-from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
-from pemviz.types import LOST, RolloutBatch, Simulator
-
-TRIES = 3
-"""After which a rollout counts as one that cannot be simulated."""
+from pemviz.faults import SimulationError
+from pemviz.sampling.rollouts.runners import BatchTask
+from pemviz.types import LOST, RolloutBatch
 
 
 def marked(rollouts: RolloutBatch, lost_at: int | None = None) -> RolloutBatch:
@@ -44,48 +40,6 @@ def lost_at(rollouts: RolloutBatch) -> IntArray:
     if LOST not in rollouts.memory:
         return np.full(rollouts.count, outcomes, dtype=np.int64)
     return outcomes - np.count_nonzero(rollouts.memory[LOST], axis=1).astype(np.int64)
-
-
-def losing_here(
-    simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
-) -> Iterator[RolloutBatch]:
-    """One batch after the other, in the thread that wants it; a ``BatchRunner``.
-
-    Raises:
-        SimulationError: Other people's code but the simulator's raises something, or the simulator
-            before a first outcome.
-    """
-    for task in tasks:
-        yield _simulated(simulator, pem, task, tries=0)
-
-
-def _simulated(simulator: Simulator, pem: Pem, task: BatchTask, *, tries: int) -> RolloutBatch:
-    try:
-        return marked(by_numpy(simulator, pem, task))
-    except SimulationError as error:
-        tries += 1
-        if not error.broke:
-            raise
-        count = len(task.uniforms)
-        if count == 1 and tries >= TRIES:
-            return without_the_rest(
-                error.outcomes, task, error, lambda stays: by_numpy(simulator, pem, stays)
-            )
-        parts: list[RolloutBatch] = []
-        for some in _apart(task, error.rollouts):
-            with counted_from(sum(part.count for part in parts)):
-                parts.append(_simulated(simulator, pem, some, tries=tries))
-    return RolloutBatch.concatenate(parts)
-
-
-def _apart(task: BatchTask, rollouts: range | None) -> list[BatchTask]:
-    """The rollout that is known to break and those beside it; halves where it is not known."""
-    count = len(task.uniforms)
-    if count == 1 or rollouts is None or len(rollouts) != 1:
-        return list(task.split(2))
-    row = rollouts[0]
-    slices = slice(0, row), slice(row, row + 1), slice(row + 1, count)
-    return [task.take(rows) for rows in slices if rows.start < rows.stop]
 
 
 def without_the_rest(

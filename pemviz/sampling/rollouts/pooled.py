@@ -223,10 +223,11 @@ class _Piece:
                     return self._as_far_as_it_came(task, error)
                 what = f"{lost} worker processes were lost one after the other"
                 raise SimulationError(what, why=str(error), rollouts=range(1)) from error
+            known = getattr(error.__cause__, "rollouts", None)
         parts: list[RolloutBatch] = []
-        for half in task.split(2):
+        for some in _apart(task, known):
             with counted_from(sum(part.count for part in parts)):
-                parts.append(self.alone(half, lost=lost))
+                parts.append(self.alone(some, lost=lost))
         return RolloutBatch.concatenate(parts)
 
     def _as_far_as_it_came(self, task: BatchTask, lost: LostError) -> RolloutBatch:
@@ -251,6 +252,41 @@ class _Piece:
                 raise again from error
 
         return without_the_rest(outcomes, task, fault, simulate)
+
+
+def _apart(task: BatchTask, rollouts: range | None) -> Sequence[BatchTask]:
+    """The rollout that is known to be at fault and those beside it; halves where it is not."""
+    if rollouts is None or len(rollouts) != 1:
+        return task.split(2)
+    (row,) = rollouts
+    edges = itertools.pairwise(sorted({0, row, row + 1, len(task.uniforms)}))
+    return [task.take(rows) for rows in itertools.starmap(slice, edges)]
+
+
+def losing_here(
+    simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
+) -> Iterator[RolloutBatch]:
+    """One batch after the other, in the thread that wants it, none ahead; a ``BatchRunner``.
+
+    Rollouts that cannot be simulated are kept as far as they came.
+
+    Raises:
+        SimulationError: Other people's code but the simulator's raises something, or the simulator
+            before a first outcome.
+    """
+    runner = PooledRunner(_at_once, 1, loses=True)
+    for task in tasks:
+        yield from runner(simulator, pem, [task])
+
+
+def _at_once(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """As a pool's ``submit``; what is no fault of a simulation's is raised here."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(function(*arguments))
+    except SimulationError as error:
+        future.set_exception(error)
+    return future
 
 
 def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
