@@ -59,6 +59,7 @@ class Track:
         dt_s: Time step [s].
         detection: ``[2, T-1]`` P(detected) under the error model, and under the proposal sampled
             from; ``None`` where perception answers several things at a step.
+        observed: Whether answers are those of the detector itself.
     """
 
     title: str
@@ -71,6 +72,7 @@ class Track:
     answers: IntArray
     dt_s: float
     detection: FloatArray | None = None
+    observed: bool = False
 
     @property
     def values(self) -> FloatArray:
@@ -135,6 +137,7 @@ def track(run: RunData, entry: RankedRow) -> Track:
         answers=slot_answers(simulator, signals=signals, detected=detected),
         dt_s=simulator.dt_s,
         detection=np.stack(list(sampled)) if detected.ndim == 1 else None,
+        observed=run.result.is_of_detector_itself,
     )
 
 
@@ -269,21 +272,28 @@ def _answers_chart(chosen: Track, *, width: int) -> PlaneChart:
 
 
 def _detection_chart(chosen: Track, *, width: int) -> PlaneChart:
-    """P(detected) of the error model and of the proposal; above and below, what came of it."""
+    """P(detected) of the error model and of the proposal; above and below, what came of it.
+
+    That alone where it was observed.
+    """
     assert chosen.detection is not None  # noqa: S101  asked for with it alone
     pem, proposal = chosen.detection
     steps_s, answers = chosen.time_s[:-1], chosen.answers[:, 0]
     hits_s, misses_s = steps_s[answers == RIGHT], steps_s[answers == WRONG]
     reach = OUTCOME_REACH
+    lines = (
+        Line(steps_s, proposal, PROPOSAL, "proposal", dash="5 2"),
+        Line(steps_s, pem, PEM, "error model"),
+    )
+    label, ticks = ("", ()) if chosen.observed else ("P(detected)", (0.0, 0.5, 1.0))
     return PlaneChart(
         "Perception",
         x=_time_axis(chosen),
-        y=Axis(-reach - 0.02, 1.02 + reach, "P(detected)", ticks=(0.0, 0.5, 1.0)),
+        y=Axis(-reach - 0.02, 1.02 + reach, label, ticks=ticks),
         marks=(
             Strokes(hits_s, np.ones(hits_s.size), DETECTED, "detected", above=reach),
             Strokes(misses_s, np.zeros(misses_s.size), MISSED, "missed", below=reach),
-            Line(steps_s, proposal, PROPOSAL, "proposal", dash="5 2"),
-            Line(steps_s, pem, PEM, "error model"),
+            *(() if chosen.observed else lines),
             *_contact(chosen),
         ),
         width=width,

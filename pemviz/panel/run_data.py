@@ -195,6 +195,11 @@ class RunData:
         return drawn_scene(self.simulator) is not None
 
     @property
+    def law_words(self) -> str:
+        """Under what the answer is a probability, which weights lead back to."""
+        return "the scenario" if self.result.is_of_detector_itself else "the error model"
+
+    @property
     def charted(self) -> Signal:
         """The signal that charts draw: the gap, elsewhere what the specification is about first."""
         if self.own is None:

@@ -81,7 +81,7 @@ def _weights(run: RunData) -> str:
         return quiet("Splitting's rollouts carry no weights: there is nothing to draw here.")
     index = run.memo.get("drawn points", lambda: drawn_points(run))
     words = (
-        "Each rollout's weight, by how much rarer or commoner it is under the error model than as "
+        f"Each rollout's weight, by how much rarer or commoner it is under {run.law_words} than as "
         "sampled; the larger, the more it contributes to the answer. Click a point: that rollout "
         "shows in the scene."
     )
@@ -254,7 +254,7 @@ def _least_gaps(run: RunData) -> str:
     )
     if weighted:
         words += (
-            " Under the error model: every rollout with its weight, so how likely it is in truth; "
+            f" Under {run.law_words}: every rollout with its weight, so how likely it is in truth; "
             "towards 1 it is rough, for common rollouts are hardly sampled."
         )
     if run.kept < run.simulated:
@@ -270,7 +270,7 @@ def gap_chart(run: RunData, gaps: LeastGaps) -> PlaneChart:
     gap_m, entries = gaps.gap_m[kept], [("as sampled", GREY, "5 3", gaps.sampled)]
     if gaps.log10_probability.size:
         probability = np.minimum(10.0**gaps.log10_probability, 1.0)
-        entries.append(("under the error model", BLUE, "", probability))
+        entries.append((f"under {run.law_words}", BLUE, "", probability))
     lines = [
         Line(gap_m, values[kept], color, label, width=2.0, dash=dash)
         for label, color, dash, values in entries

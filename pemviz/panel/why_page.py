@@ -142,9 +142,10 @@ def _misses(run: RunData) -> list[str]:
     alone = memory is None or memory.is_independent
     given = "" if alone else ", given the outcomes before"
     note = (
-        "Share of steps missed in violations, weighted by how likely each is under the error "
-        f"model, and what the error model itself says{given}."
+        f"Share of steps missed in violations, weighted by how likely each is under {run.law_words}"
     )
+    observed = run.result.is_of_detector_itself  # and no error model says how often it misses
+    note += "." if observed else f", and what the error model itself says{given}."
     if failures.missed.shape[0] < failures.violations:
         note += (
             f" From {failures.missed.shape[0]:,} of {failures.violations:,} violations: the half "
@@ -157,33 +158,36 @@ def _misses(run: RunData) -> list[str]:
         for values in (failures.missed, failures.pem_miss)
     )
     edges_s = np.arange(share.size + 1) * dt_s
-    by_time = drawn(share_chart("time", "time [s]", edges_s, share, expected)) + quiet(note)
+    beside = None if observed else expected
+    by_time = drawn(share_chart("time", "time [s]", edges_s, share, beside)) + quiet(note)
     words = title + quiet(_miss_sentence(run, failures))
     if failures.gap_m is None:
         return [words + by_time]
     edges, share, expected = by_distance(failures, failures.gap_m)
     tips = [
-        f"{edges[i]:g} to {edges[i + 1]:g} m: {100 * share[i]:.0f} % missed, error model "
-        f"{100 * expected[i]:.2g} %"
+        f"{edges[i]:g} to {edges[i + 1]:g} m: {100 * share[i]:.0f} % missed"
+        + ("" if observed else f", error model {100 * expected[i]:.2g} %")
         for i in range(share.size)
     ]
-    by_gap = share_chart("distance", "gap [m]", edges, share, expected, tips=tips)
+    beside = None if observed else expected
+    by_gap = share_chart("distance", "gap [m]", edges, share, beside, tips=tips)
     return [words + drawn(by_gap), by_time]
 
 
 def share_chart(
-    by: str, label: str, edges: FloatArray, missed: FloatArray, expected: FloatArray,
+    by: str, label: str, edges: FloatArray, missed: FloatArray, expected: FloatArray | None,
     *, tips: Sequence[str] = (),
 ) -> PlaneChart:  # fmt: skip
-    """Shares ``[B]`` of steps missed, and the error model's, between edges ``[B+1]``."""
+    """Shares ``[B]`` of steps missed, and the error model's if any, between edges ``[B+1]``."""
     middle = (edges[:-1] + edges[1:]) / 2
+    model = () if expected is None else (Line(middle, 100.0 * expected, BLACK, "error model"),)
     return PlaneChart(
         title=f"Missed in violations, by {by}",
         x=Axis(0.0, float(edges[-1]), label),
         y=Axis(0.0, 100.0, "steps missed [%]", ticks=(0.0, 50.0, 100.0)),
         marks=(
             Bars(edges, 100.0 * missed, VERMILLION, "in violations", tips=tuple(tips)),
-            Line(middle, 100.0 * expected, BLACK, "error model"),
+            *model,
         ),
         height=200,
     )

@@ -156,8 +156,9 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
         ("log10", number_text(estimate.log10_probability, digits=4)),
         (f"{called}{of_any}", estimates.interval_text(estimate, caveats=caveats)),
         ("misses", misses),
-        (f"range over refits{of_any}", estimates.model_range_text(result.pem_interval)),
     ]
+    if not result.is_of_detector_itself:
+        rows.append((f"range over refits{of_any}", estimates.model_range_text(result.pem_interval)))
     if result.reference is not None:
         rows.append(("reference", estimates.reference_text(result.reference, estimate)))
     if result.data_bound is not None:

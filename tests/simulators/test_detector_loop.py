@@ -13,7 +13,9 @@ from pemviz.pem import load_pem, load_table
 from pemviz.pem.models.trees import TreesPem
 from pemviz.recording.film import film_title
 from pemviz.reports.case_runs import read_case_run
+from pemviz.reports.run_document import ANSWER, run_document
 from pemviz.reports.safety_case import safety_case_page
+from pemviz.reports.terminal import plain_lines
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import check_simulator
 from tests.lattice_walk import GAP, ToySimulator, toy_probability_by_recursion
@@ -369,6 +371,10 @@ def test_a_result_speaks_of_no_error_model(tmp_path):
     for words in ("independent", "error model is right", "learned from", "warning", "by itself"):
         assert words not in said.replace("without an error model", "")
     assert "Misses that matter in a violation: 0.0" not in said
+    everything = "\n".join(plain_lines(run_document(result).blocks(*ANSWER)))
+    assert "violations" in everything
+    for words in ("refits", "error model is"):
+        assert words not in everything
     again = pemviz.read_result(tmp_path)
     assert again.estimate == result.estimate
     assert pemviz.summary_text(again) == said
