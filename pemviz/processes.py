@@ -18,6 +18,7 @@ from concurrent.futures import (
 )
 from functools import partial
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -90,6 +91,17 @@ def end_with_parent(scratch: Path | None = None) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+class _Worker(SpawnProcess):
+    """A process whose executor, which waits for it once another has died, can end it."""
+
+    def terminate(self) -> None:
+        self.kill()  # SIGTERM is held back
+
+
+class _Workers(SpawnContext):
+    Process = _Worker
+
+
 class ProcessPool:
     """Processes that work for this one: what every part that wants more than one core uses.
 
@@ -108,7 +120,7 @@ class ProcessPool:
         self._new_executor = partial(
             ProcessPoolExecutor,
             count,
-            mp_context=multiprocessing.get_context("spawn"),
+            mp_context=_Workers(),
             initializer=end_with_parent,
             initargs=(scratch,),
         )
@@ -139,7 +151,11 @@ class ProcessPool:
             return failed
         # a process that stops at the terminal's signals would look like one that died
         with one_thread_each(), signals_held_back():
-            future = self._executor.submit(_called, bytes(call))
+            try:
+                future = self._executor.submit(_called, bytes(call))
+            except (OSError, RuntimeError):  # so it is if one dies while another is started
+                self._executor.submit(int)  # of a broken pool this says so
+                raise
         self._processes += set(multiprocessing.active_children()) - before
         return future
 
@@ -150,9 +166,12 @@ class ProcessPool:
 
     def close(self) -> None:
         """End all processes at once, whatever they are at."""
+        # first, as it would take what it does not know of for a death
+        self._executor.shutdown(wait=False, cancel_futures=True)
         for process in self._processes:
             process.kill()
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        for process in self._processes:
+            process.join()
 
 
 def _called(call: bytes) -> Any:

@@ -4,7 +4,8 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, wait
+from multiprocessing.context import SpawnProcess
 
 import pytest
 
@@ -94,6 +95,51 @@ def test_the_death_of_one_pools_process_leaves_the_others_alone():
         assert living.result() == 0
         one.close()
         assert other.submit(slowest_first, 1).result() == -1
+
+
+def test_a_pool_in_which_a_process_died_ends_the_others_and_says_so():
+    """They hold back the signal that an executor ends its processes with, and waits for."""
+    with ProcessPool(2) as pool:
+        pool.submit(time.sleep, 600)
+        dying = pool.submit(leave, 3)
+        processes = multiprocessing.active_children()
+        assert isinstance(dying.exception(), BrokenExecutor)
+        for process in processes:
+            process.join(60)
+        assert [process.is_alive() for process in processes] == [False, False]
+        with pytest.raises(BrokenExecutor):
+            pool.submit(slowest_first, 1)
+
+
+def test_a_process_that_dies_while_another_is_started_is_said_as_at_any_other_time(monkeypatch):
+    start = SpawnProcess.start
+
+    def after_the_other_died(process):
+        wait([dying], timeout=5)  # no longer: where a lock guards a start it is told afterwards
+        time.sleep(0.1)  # till the executor has let go of what a start hands over
+        start(process)
+
+    with ProcessPool(2) as pool:
+        dying = pool.submit(leave, 3)
+        monkeypatch.setattr(SpawnProcess, "start", after_the_other_died)
+        with pytest.raises(BrokenExecutor):
+            pool.submit(slowest_first, 1).result()
+
+
+def test_a_pool_that_is_closed_is_silent_about_what_was_called_back(monkeypatch):
+    """What the executor's thread raises is an error here."""
+    with ProcessPool(1) as pool:
+        calls = [pool.submit(time.sleep, 600) for _ in range(5)]
+        while not calls[0].running():
+            time.sleep(0.01)
+        assert [call.cancel() for call in calls[-2:]] == [True, True]
+        monkeypatch.setattr(SpawnProcess, "kill", killed_for_a_while)
+    assert isinstance(calls[0].exception(), BrokenExecutor)
+
+
+def killed_for_a_while(process, kill=SpawnProcess.kill):
+    kill(process)
+    time.sleep(0.2)  # so that its end is seen before anything else comes
 
 
 PARENT = """
