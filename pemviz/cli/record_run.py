@@ -4,7 +4,7 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
@@ -51,14 +51,14 @@ def record(arguments: RecordArguments) -> int:
         if ending.result is None:
             raise
         if arguments.json:
-            print(json.dumps(result_document(ending.result), allow_nan=False))
+            _print_json(ending.result, limits=arguments.limits)
         message = f"{error}; {_how_to_repeat(error, arguments, folder)}"
         message += _how_to_go_on(arguments, folder)
         raise RunError(
             message, traceback_text=error.traceback_text, rollout=error.rollout
         ) from error
     if arguments.json:
-        print(json.dumps(result_document(result), allow_nan=False))
+        _print_json(result, limits=arguments.limits)
     else:
         print_summary(result, folder, verbose=arguments.verbose)
     if result.status != "done":
@@ -173,8 +173,15 @@ def _report_done(arguments: RecordArguments, result: RunResult, *, reports: Repo
     )
     reports.write(result)
     if arguments.json:
-        print(json.dumps(result_document(result), allow_nan=False))
+        _print_json(result, limits=arguments.limits)
     return gate_exit_code(result, limits=arguments.limits)
+
+
+def _print_json(result: RunResult, *, limits: GateLimits) -> None:
+    """The result as one object, with what the gate says if there is one."""
+    gate = decide_limits(result, limits=limits)
+    judged = {} if gate is None else {"gate": asdict(gate)}
+    print(json.dumps({**result_document(result), **judged}, allow_nan=False))
 
 
 def gate_exit_code(result: RunResult, *, limits: GateLimits) -> int:

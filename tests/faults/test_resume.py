@@ -302,12 +302,15 @@ def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
     assert (folder / "run.rrd").stat().st_size > 100_000
     assert not (folder / ".run.rrd.partial").exists()
     capsys.readouterr()
-    assert record.run(["--resume", str(folder), "--json", "--fail-above", "1e-30"]) in (
-        EXIT_GATE_TRIPPED, 4,
-    )  # fmt: skip
+    code = record.run(["--resume", str(folder), "--json", "--fail-above", "1e-30"])
+    assert code in (EXIT_GATE_TRIPPED, 4)
     out = capsys.readouterr()
     assert "is done already" in out.err
-    assert json.loads(out.out)["status"] == "done"
+    told = json.loads(out.out)
+    assert told["status"] == "done"
+    outcome = {EXIT_GATE_TRIPPED: "tripped", 4: "undecided"}[code]
+    assert told["gate"].items() >= {"outcome": outcome, "limit": 1e-30, "exit_code": code}.items()
+    assert told["gate"]["reason"] in out.err
 
 
 def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
