@@ -1,6 +1,6 @@
 """Text files that a user names: opening, reading numbers, saying what could not be written."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
@@ -9,6 +9,9 @@ import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import PemError
+
+MOST_NAMED = 20
+"""Columns in a message."""
 
 
 @contextmanager
@@ -38,6 +41,23 @@ def writing(path: Path) -> Generator[None, None, None]:
         raise PemError(f"out = {path}: cannot be written ({error.strerror or error})") from None
 
 
+def check_columns(
+    cells: Sequence[str], names: Sequence[str], *, where: str, optional: int = 0
+) -> None:
+    """Refuse a line that does not have these columns, of which the last ``optional`` may be absent.
+
+    Raises:
+        PemError: How many there are, and which ones are needed.
+    """
+    least, most = len(names) - optional, len(names)
+    if not least <= len(cells) <= most:
+        needed = f"{least}{' or ' if optional == 1 else ' to '}{most}" if optional else f"{most}"
+        given = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
+        named = ", ".join(names if most <= MOST_NAMED else (*names[:MOST_NAMED], "..."))
+        needed += " is needed" if needed == "1" else " are needed"
+        raise PemError(f"{where}: {given} where {needed}: {named}")
+
+
 def read_numbers(
     path: Path,
     *,
@@ -65,10 +85,7 @@ def read_numbers(
             if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
                 continue
             cells = line.strip().split(separator)
-            if len(cells) != len(columns):
-                raise PemError(
-                    f"{path}:{number}: {len(cells)} columns where {len(columns)} are needed"
-                )
+            check_columns(cells, columns, where=f"{path}:{number}")
             row: list[float] = []
             for index in picked:
                 try:

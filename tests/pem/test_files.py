@@ -10,6 +10,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
+from pemviz.files.text_files import check_columns
 from pemviz.pem import (
     Pem,
     PemEnsemble,
@@ -220,7 +221,7 @@ def test_a_step_table_keeps_its_value_up_to_the_next_distance():
     [
         ("z,p\n1,0.5\n", ":1: the header must be distance_m,p_detected"),
         ("distance_m,p_detected\n1,0.5\n2,x\n", r":3: column 2 \(p_detected\) is 'x'"),
-        ("distance_m,p_detected\n1,0.5\n2\n", ":3: 1 columns where 2"),
+        ("distance_m,p_detected\n1,0.5\n2\n", ":3: 1 column where 2 are needed: distance_m, p_de"),
         ("distance_m,p_detected\n1,1.0\n", "strictly between 0 and 1"),
         ("distance_m,p_detected\n2,0.5\n1,0.5\n", "increase"),
         ("distance_m,p_detected\n", "distances must be there"),
@@ -256,3 +257,16 @@ def test_a_python_object_runs_only_if_allowed(tmp_path, monkeypatch):
     ):
         with pytest.raises(PemError, match=words):
             load_pem(name, allow_python=True)
+
+
+@pytest.mark.parametrize(
+    ("cells", "names", "words"),
+    [
+        (["1", "2"], ["gap"], "t.csv:2: 2 columns where 1 is needed: gap"),
+        (["1"], list("abc"), "t.csv:2: 1 column where 2 or 3 are needed: a, b, c"),
+        ([], [f"{n}" for n in range(21)], "where 20 or 21 are needed: 0, .*, 19, ..."),
+    ],
+)
+def test_a_line_of_other_columns_says_which_ones_are_needed(cells, names, words):
+    with pytest.raises(PemError, match=f"{words}$"):
+        check_columns(cells, names, where="t.csv:2", optional=len(names) > 1)

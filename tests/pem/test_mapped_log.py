@@ -91,7 +91,7 @@ def test_units_constants_and_files_side_by_side(log) -> None:
         ("mapping", '"left cm"', '"left"', r"labels\.txt:2: no column 'left', there are: drive"),
         ("labels", "van", "bus", r"labels\.txt:4: what, for class_id, is 'bus', allowed: one of c"),
         ("labels", "200", "inf", r"labels\.txt:4: left cm, for x_m, is 'inf', allowed: a number$"),
-        ("labels", ";7;car;0", ";car;0", r"labels\.txt:5: 6 columns where 7 are needed$"),
+        ("labels", ";7;car;0", ";car;0", r"labels\.txt:5: 6 columns where 7 are needed: "),
         ("mapping", "occlusion = 1", "occlusion = 5", r"labels\.txt:2: occlusion is 5, allowed: 0"),
         ("detections", "no -\n", "", r"detections\.txt: 2 rows, but 3 in .*labels\.txt$"),
     ],

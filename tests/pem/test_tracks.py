@@ -98,7 +98,7 @@ def test_truncation_levels_become_shares_and_persons_sit(tmp_path):
 @pytest.mark.parametrize(
     ("labels", "detections", "words"),
     [
-        (["0 x Car"], [], r"labels/0000.txt:1: 3 columns where 17 are needed"),
+        (["0 x Car"], [], r"/0000.txt:1: 3 columns where 17 or 18 are needed: frame, tr"),
         ([label(0, track="x")], [], r"0000.txt:1: column 2 \(track\) is 'x'"),
         ([label(0), label("-1")], [], r"0000.txt:2: column 1 \(frame\) is '-1'"),
         ([label(0, truncated=3)], [], r"column 4 \(truncated\) is '3', allowed: 0, 1, 2"),
@@ -180,7 +180,7 @@ def test_folds_keep_sequences_of_video_whole(tmp_path):
         ("a,1,1,2", "column 'detected' must hold 0 or 1 only"),
         ("a,1.5,1,1", "column 'frame' must hold whole numbers from 0 on"),
         ("a,0,1,1", "track 1 of sequence a is there twice in frame 0"),
-        ("a,1,1", "own.csv:3: 3 columns where 4 are needed"),
+        ("a,1,1", "own.csv:3: 3 columns where 4 are needed: sequence, frame, track, detected$"),
     ],
 )
 def test_a_malformed_table_of_ones_own_is_told_in_one_line(tmp_path, line, words):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
-from pemviz.files.text_files import open_text
+from pemviz.files.text_files import check_columns, open_text
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".arrow", ".feather")
 WHO_AND_WHEN = ("sequence", "track", "frame", "rate_hz", "time_s")
@@ -250,8 +250,7 @@ def _csv_by_lines(path: Path, header: Sequence[str]) -> Columns:
     rows: list[list[str]] = []
     lines: list[int] = []
     for number, cells in _rows(path):
-        if len(cells) != len(header):
-            raise PemError(f"{path}:{number}: {len(cells)} columns where {len(header)} are needed")
+        check_columns(cells, header, where=f"{path}:{number}")
         rows.append(cells)
         lines.append(number)
     by_column = list(zip(*rows, strict=True)) or [()] * len(header)

@@ -16,11 +16,11 @@ from typing import Any, Literal
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
 from pemviz.files.json_text import read_json
-from pemviz.files.text_files import open_text
+from pemviz.files.text_files import check_columns, open_text
 from pemviz.pem.data.kitti_labels import (
     FARTHEST_PX,
-    LABEL_COLUMNS,
     NOT_AN_OBSTACLE,
+    SCORED_COLUMNS,
     Box,
     OnBadLine,
     box,
@@ -108,12 +108,10 @@ def open_detections(
 
 
 def _kitti_detection(cells: list[str], where: str) -> Detection:
-    columns = len(LABEL_COLUMNS)
-    if len(cells) not in (columns, columns + 1):
-        raise PemError(f"{where}: {len(cells)} columns where {columns + 1} are needed")
-    values = numbers(cells, (*LABEL_COLUMNS, "score"), first=1, where=where)
+    check_columns(cells, SCORED_COLUMNS, where=where, optional=1)
+    values = numbers(cells, SCORED_COLUMNS, first=1, where=where)
     left, top, right, bottom = values[3:7]
-    score = values[14] if len(cells) > columns else 1.0
+    score = values[14] if len(cells) == len(SCORED_COLUMNS) else 1.0
     sides, place = values[7:10], (values[10], values[11], values[12])
     has_place = min(sides) > 0.0 and UNKNOWN_M not in place
     sides_px = box(left, top, right, bottom, column=5, where=where)
@@ -123,8 +121,7 @@ def _kitti_detection(cells: list[str], where: str) -> Detection:
 def _yolo_detection(
     cells: list[str], where: str, *, size_px: tuple[float, float], class_names: Sequence[str]
 ) -> Detection:
-    if len(cells) not in (5, 6):
-        raise PemError(f"{where}: {len(cells)} columns where 5 or 6 are needed")
+    check_columns(cells, YOLO_COLUMNS, where=where, optional=1)
     values = numbers(cells, YOLO_COLUMNS, first=0, where=where)
     number, centre_x, centre_y, width, height = values[:5]
     for index, value in enumerate(values[1:5], start=1):
@@ -256,8 +253,7 @@ def read_sequence_detections(
     first_side = columns.index("left")
 
     def parse(cells: list[str], where: str) -> tuple[int, Detection]:
-        if len(cells) != len(columns):
-            raise PemError(f"{where}: {len(cells)} columns where {len(columns)} are needed")
+        check_columns(cells, columns, where=where)
         frame = whole_number(cells[0], column=1, name="frame", where=where)
         values = numbers(cells, columns, first=first_side, where=where)
         sides = box(values[0], values[1], values[2], values[3], column=first_side + 1, where=where)

@@ -11,13 +11,14 @@ from typing import TypeVar
 
 from pemviz.boxes import Box
 from pemviz.errors import PemError
-from pemviz.files.text_files import open_text
+from pemviz.files.text_files import check_columns, open_text
 
 LABEL_COLUMNS = (
     *("type", "truncated", "occluded", "alpha"),
     *("bbox_left", "bbox_top", "bbox_right", "bbox_bottom"),
     *("height", "width", "length", "x", "y", "z", "rotation_y"),
 )
+SCORED_COLUMNS = (*LABEL_COLUMNS, "score")
 TYPES = (
     *("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram"),
     *("Misc", "DontCare"),
@@ -70,7 +71,10 @@ def read_labels(path: Path, *, on_bad_line: OnBadLine) -> list[Obstacle]:
     """Obstacles of one frame, from a file of ``label_2``, 'DontCare' regions left out."""
 
     def parse(cells: list[str], where: str) -> Obstacle | None:
-        return None if cells[0] == NOT_AN_OBSTACLE else _obstacle(cells, where=where)
+        if cells[0] == NOT_AN_OBSTACLE:
+            return None
+        check_columns(cells, SCORED_COLUMNS, where=where, optional=1)
+        return _obstacle(cells, where=where)
 
     return list(parsed_lines(path, parse, on_bad_line=on_bad_line))
 
@@ -83,8 +87,7 @@ def read_tracking_labels(path: Path, *, on_bad_line: OnBadLine) -> list[TrackedO
 def _tracked(cells: list[str], where: str) -> TrackedObstacle | None:
     if cells[2:3] == [NOT_AN_OBSTACLE]:
         return None
-    if len(cells) < len(LABEL_COLUMNS) + 2:
-        raise PemError(f"{where}: {len(cells)} columns where {len(LABEL_COLUMNS) + 2} are needed")
+    check_columns(cells, ("frame", "track", *SCORED_COLUMNS), where=where, optional=1)
     frame = whole_number(cells[0], column=1, name="frame", where=where)
     track = whole_number(cells[1], column=2, name="track", where=where)
     level = cells[3]
@@ -96,16 +99,12 @@ def _tracked(cells: list[str], where: str) -> TrackedObstacle | None:
 
 
 def _obstacle(cells: list[str], *, where: str, columns_before: int = 0) -> Obstacle:
-    if len(cells) not in (len(LABEL_COLUMNS), len(LABEL_COLUMNS) + 1):
-        needed = len(LABEL_COLUMNS) + columns_before
-        raise PemError(f"{where}: {len(cells) + columns_before} columns where {needed} are needed")
     shift = columns_before
     if cells[0] not in TYPES:
         raise PemError(
             f"{where}: column {1 + shift} (type) is {cells[0]!r}, allowed: {', '.join(TYPES)}"
         )
-    names = (*LABEL_COLUMNS, "score")
-    values = numbers(cells, names, first=1, where=where, columns_before=shift)
+    values = numbers(cells, SCORED_COLUMNS, first=1, where=where, columns_before=shift)
     truncation, occlusion, alpha, left, top, right, bottom, *rest = values
     if not 0.0 <= truncation <= 1.0:
         raise PemError(f"{where}: column {2 + shift} (truncated) is {cells[1]}, allowed: 0 to 1")

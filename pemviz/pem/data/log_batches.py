@@ -16,7 +16,7 @@ import numpy as np
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file
 from pemviz.files.json_text import parse_json
-from pemviz.files.text_files import open_text
+from pemviz.files.text_files import check_columns, open_text
 from pemviz.pem.data.columns import Columns, check_header, readable, split_cells, text_of
 
 Separator = Literal[",", ";", "tab", "whitespace"]
@@ -154,9 +154,7 @@ def _text_rows(path: Path, shape: FileShape) -> Iterator[_Row]:
                 given = f", not by {shape.separator!r}: say which in [labels] or [detections]"
                 check_header(header, f"{path}:{number}", remedy=f"{given}, separator")
                 continue
-            if len(cells) != len(header):
-                wanted = f"{len(cells)} columns where {len(header)} are needed"
-                raise PemError(f"{path}:{number}: {wanted}")
+            check_columns(cells, header, where=f"{path}:{number}")
             yield _Row(number, place, header, cells)
 
 

@@ -18,7 +18,7 @@ from typing import Literal
 
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder
-from pemviz.files.text_files import open_text
+from pemviz.files.text_files import check_columns, open_text
 from pemviz.pem.data.collect import (
     DEFAULT_OPTIONS,
     CollectOptions,
@@ -37,6 +37,7 @@ from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 COLUMNS = ("frame", "id", "bb_left", "bb_top", "bb_width", "bb_height", "conf")
 CLASSED = (*COLUMNS, "class", "visibility")
 WORLD = (*COLUMNS, "x", "y", "z")
+EITHER = (*COLUMNS, "class or x", "visibility or y", "z")
 CLASSES = (
     *("pedestrian", "person_on_vehicle", "car", "bicycle", "motorbike", "non_motorized_vehicle"),
     *("static_person", "distractor", "occluder", "occluder_on_ground", "occluder_full"),
@@ -165,9 +166,7 @@ def _sequence_rate_hz(file: Path) -> float | None:
 
 def _values(cells: list[str], where: str) -> tuple[int, int, Box, list[float]]:
     """Frame, identity, box, and the numbers from ``conf`` on."""
-    if not len(COLUMNS) <= len(cells) <= len(WORLD):
-        wanted = f"{len(COLUMNS)} to {len(WORLD)}"
-        raise PemError(f"{where}: {len(cells)} columns where {wanted} are needed")
+    check_columns(cells, EITHER, where=where, optional=len(EITHER) - len(COLUMNS))
     names = WORLD if len(cells) == len(WORLD) else CLASSED
     frame, identity, left, top, width, height, *rest = numbers(cells, names, first=0, where=where)
     if not (1 <= frame < LARGEST_NUMBER and frame == int(frame)):
