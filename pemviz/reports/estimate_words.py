@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pemviz.analysis.model_uncertainty import ModelInterval
 from pemviz.binomial import exact_upper_bound
@@ -164,10 +164,26 @@ def chosen_text(result: RunResult) -> str | None:
     )
     if half <= config.precision:
         return words
-    if estimate.rollouts_simulated >= most(config):
-        return f"{words}, and stopped by max_rollouts {most(config)}"
-    stopped = config.max_minutes is not None
-    return f"{words}, and stopped by max_minutes {config.max_minutes:g}" if stopped else words
+    spent = max(_from_proposals(result).values(), default=0)
+    if spent >= most(config):
+        each = " in a repetition" if config.repetitions > 1 else ""
+        return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals{each}"
+    if config.max_minutes is not None:
+        return f"{words}, and stopped by max_minutes {config.max_minutes:g}"
+    if by_name(estimate.method).interval_basis == "counts":
+        counted = f"{estimate.rollouts_in_estimate} plain rollouts were counted"
+        return f"{words}; {counted}, as many as the first ones asked for"
+    return words
+
+
+def _from_proposals(result: RunResult) -> Mapping[int, int]:
+    """Rollouts that each repetition that learned has sampled from proposals."""
+    spent: dict[int, int] = {}
+    for stage in result.stages:  # the last one that comes before learning begins them
+        before = 0 if stage.kind == "pretrain" else spent.get(stage.repetition, 0)
+        spent[stage.repetition] = before + stage.rollouts
+    learned = {stage.repetition for stage in result.stages if stage.kind == "learn"}
+    return {repetition: spent[repetition] for repetition in learned}
 
 
 def missing_more_text(estimate: Estimate) -> str:

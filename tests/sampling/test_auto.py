@@ -240,6 +240,14 @@ def test_what_was_chosen_is_told(system, chosen):
     assert f"method {chosen} " in _sampling_step(result).lower()
 
 
+def test_a_count_that_falls_short_is_not_said_to_be_stopped_by_what_limits_proposals():
+    result = run(experiment(*OFTEN, seed=1, precision=0.03, max_rollouts=1200))
+    assert result.estimate.relative_half_width > 0.03
+    assert result.estimate.rollouts_simulated > 1200
+    counted = f"{result.estimate.rollouts_in_estimate} plain rollouts were counted"
+    assert f"3 % were requested; {counted}, as many as the first ones" in summary_text(result)
+
+
 def test_fewer_at_most_than_it_begins_with_are_refused():
     with pytest.raises(ConfigError, match=r"^max_rollouts = 100: must be at least the 1200 that"):
         experiment(*RARE, max_rollouts=100)
@@ -247,7 +255,10 @@ def test_fewer_at_most_than_it_begins_with_are_refused():
 
 @pytest.mark.parametrize(
     ("settings", "by"),
-    [({"max_rollouts": 1_300}, "max_rollouts 1300"), ({"max_minutes": 1e-6}, "max_minutes 1e-06")],
+    [
+        ({"max_rollouts": 1_300}, "max_rollouts: 1300 were sampled from proposals"),
+        ({"max_minutes": 1e-6}, "max_minutes 1e-06"),
+    ],
 )
 def test_what_stopped_it_is_told(settings, by):
     often = {"precision": 0.001} if "max_minutes" in settings else {"precision": 0.02}
