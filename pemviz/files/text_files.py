@@ -3,15 +3,13 @@
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import shorten
 from typing import TextIO
 
 import numpy as np
 
 from pemviz.arrays import FloatArray
 from pemviz.errors import PemError
-
-MOST_NAMED = 20
-"""Columns in a message."""
 
 
 @contextmanager
@@ -53,8 +51,8 @@ def check_columns(
     if not least <= len(cells) <= most:
         needed = f"{least}{' or ' if optional == 1 else ' to '}{most}" if optional else f"{most}"
         given = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
-        named = ", ".join(names if most <= MOST_NAMED else (*names[:MOST_NAMED], "..."))
         needed += " is needed" if needed == "1" else " are needed"
+        named = shorten(", ".join(names), 300, placeholder=" ...")
         raise PemError(f"{where}: {given} where {needed}: {named}")
 
 

@@ -166,24 +166,23 @@ def chosen_text(result: RunResult) -> str | None:
         return words
     spent = max(_from_proposals(result).values(), default=0)
     if spent >= most(config):
-        each = " in a repetition" if config.repetitions > 1 else ""
-        return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals{each}"
+        return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals"
     if config.max_minutes is not None:
         return f"{words}, and stopped by max_minutes {config.max_minutes:g}"
     if by_name(estimate.method).interval_basis == "counts":
-        counted = f"{estimate.rollouts_in_estimate} plain rollouts were counted"
-        return f"{words}; {counted}, as many as the first ones asked for"
+        words += f"; {estimate.rollouts_in_estimate} plain rollouts were counted, as many as the "
+        words += "first ones asked for"
     return words
 
 
 def _from_proposals(result: RunResult) -> Mapping[int, int]:
     """Rollouts that each repetition that learned has sampled from proposals."""
-    spent: dict[int, int] = {}
-    for stage in result.stages:  # the last one that comes before learning begins them
-        before = 0 if stage.kind == "pretrain" else spent.get(stage.repetition, 0)
-        spent[stage.repetition] = before + stage.rollouts
-    learned = {stage.repetition for stage in result.stages if stage.kind == "learn"}
-    return {repetition: spent[repetition] for repetition in learned}
+    spent = dict.fromkeys((one.repetition for one in result.stages if one.kind == "learn"), 0)
+    for stage in result.stages:
+        if stage.repetition in spent:  # the last stage before those that learn begins them
+            before = 0 if stage.kind == "pretrain" else spent[stage.repetition]
+            spent[stage.repetition] = before + stage.rollouts
+    return spent
 
 
 def missing_more_text(estimate: Estimate) -> str:

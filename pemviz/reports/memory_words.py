@@ -11,7 +11,8 @@ from pemviz.pem.models.memory import FRAILTY_MEANS
 from pemviz.pem.models.predictive_check import check_line
 from pemviz.reports.document import Table
 from pemviz.reports.estimate_words import end_text, range_text
-from pemviz.runs.result import RunMemory
+from pemviz.runs.result import RunMemory, RunResult
+from pemviz.runs.uncertainty import memory_option
 from pemviz.sampling.bursts.curve import (
     ALIKE_S,
     MEASURED,
@@ -22,10 +23,6 @@ from pemviz.sampling.bursts.curve import (
 
 MEMORY_TITLE = "Misses that follow each other"
 OF_DETECTOR_ITSELF = "as the detector itself said of the rendered images, without an error model"
-NOT_LOOKED_AT = (
-    "How far the assumption on how misses follow each other changes the answer was not looked at "
-    "in this run: pemviz record --memory-curve does. On video misses come in bursts."
-)
 IN_IT = "(in which the correlation of outcomes falls to 37 %)"
 """What a memory time is, in brackets beside one."""
 MEASURED_TITLE = "With a memory of misses as measured on video"
@@ -225,12 +222,23 @@ def _worth(memory: RunMemory, axis: CurveAxis) -> str:
     return f" The assumption changes the answer by {orders:.0f} orders of magnitude."
 
 
-def memory_text(memory: RunMemory | None) -> str:
+def not_looked_at(result: RunResult) -> str:
+    """That a run says nothing of other memories, and what does."""
+    return (
+        "How far the assumption on how misses follow each other changes the answer was not looked "
+        f"at in this run: {memory_option(result)} does. On video misses come in bursts."
+    )
+
+
+def memory_text(result: RunResult) -> str:
     """How misses hang together in the answer, and in the video that the model was fitted to."""
+    memory = result.memory
+    if result.is_of_detector_itself:
+        return OF_DETECTOR_ITSELF
     if memory is None or memory.is_independent:
         assumed = "independent of each other given the state: an assumption"
         if memory is None or not (memory.curve or memory.measured):
-            assumed += ", and --memory-curve shows what it changes"
+            assumed += f", and {memory_option(result)} shows what it changes"
     else:
         parts = [f"memory time {memory.tau_s:.3g} s {IN_IT}"] if memory.tau_s else []
         parts += [f"frailty {memory.frailty:.3g} ({FRAILTY_MEANS})"] if memory.frailty else []

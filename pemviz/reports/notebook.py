@@ -43,8 +43,10 @@ def estimate_html(estimate: Estimate) -> str:
     """An estimate with its interval and what is wrong with it."""
     caveats = interval_caveats(estimate)
     called = interval_name(estimate, caveats=caveats)
-    # an estimate does not know of latents: what serves with them serves without
-    better = remedy(estimate.method, latents=True, diagnostics=estimate.diagnostics)
+    # an estimate knows nothing of its scenario: what serves any
+    loses = any(diagnostic.kind.startswith("lost") for diagnostic in estimate.diagnostics)
+    checks = () if loses else ("subset",)
+    better = remedy(estimate.method, checks=checks, diagnostics=estimate.diagnostics)
     said = (
         Headline(f"Failure probability {short_probability(estimate)}"),
         Paragraph(f"{called} {interval_text(estimate, caveats=caveats)}, sampling alone"),

@@ -148,14 +148,11 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
     called = estimates.interval_name(estimate, caveats=caveats)
     count = len(result.config.rules)  # the headline's answer is to one rule, these are to any
     of_any = f", any of {count} rules" if count else ""
-    misses = memory_words.memory_text(result.memory)
-    if result.is_of_detector_itself:
-        misses = memory_words.OF_DETECTOR_ITSELF
     rows = [
         (f"probability of a violation{of_any}", estimates.probability_text(estimate)),
         ("log10", number_text(estimate.log10_probability, digits=4)),
         (f"{called}{of_any}", estimates.interval_text(estimate, caveats=caveats)),
-        ("misses", misses),
+        ("misses", memory_words.memory_text(result)),
     ]
     if not result.is_of_detector_itself:
         rows.append((f"range over refits{of_any}", estimates.model_range_text(result.pem_interval)))
@@ -180,10 +177,10 @@ def _given_section(result: RunResult) -> Section:
     config = result.config
     lines = [
         f"{result.pem.name} learned from {estimates.data_text(result.pem)}",
-        f"misses {memory_words.memory_text(result.memory)}",
+        f"misses {memory_words.memory_text(result)}",
     ]
     if result.is_of_detector_itself:
-        lines = [f"misses {memory_words.OF_DETECTOR_ITSELF}"]
+        lines = lines[1:]
     if config.scenario.tracker != NO_TRACKER:
         lines.append(f"tracker between perception and controller: {config.scenario.tracker}")
     if result.position_errors is not None:
@@ -259,7 +256,7 @@ def _memory(result: RunResult) -> Section | None:
     lines = [Paragraph(line, "strong") for line in memory_words.assumption_lines(memory)]
     if memory is None or not lines:
         table = None if memory is None else memory_words.measured_table(memory)
-        said = Caution(memory_words.NOT_LOOKED_AT) if table is None else table
+        said = Caution(memory_words.not_looked_at(result)) if table is None else table
         return Section("memory", title, checked, (*checked, said))
     lines += checked
     by_time = memory_words.BY_MEMORY_TIME

@@ -270,14 +270,13 @@ def check_method_fits(
         lacking["gap"] = f"looks at one gap alone, and simulator {name!r} has several slots"
     # splitting keeps the starts that rollouts were given, and goes on from kept states
     check = "subset" if "restarts" in lacking or counts.at_start else "splitting"
+    loses = config.lost != "end"  # as those would refuse
     for need, complaint in lacking.items():
         if need in described.needs:
-            fits = FIT_ANYWHERE.format(check=check)
+            fits = "use mixture" if loses else FIT_ANYWHERE.format(check=check)
             raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
     if config.memory_curve and turns_of(back_end.simulator) > 1:
         raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
     if config.reference and "twin" in lacking:
-        raise ConfigError(
-            f"reference = true: the reference {lacking['twin']}; use {check} as an independent "
-            "check"
-        )
+        fits = "leave it out" if loses else f"use {check} as an independent check"
+        raise ConfigError(f"reference = true: the reference {lacking['twin']}; {fits}")

@@ -56,9 +56,14 @@ from pemviz.files.atomic import document_digest, file_digest, write_json
 from pemviz.files.json_text import parse_json
 from pemviz.runs.rates import DistanceRate, ViolationRate, distance_rates, violation_rates
 from pemviz.runs.result import RankedRollout, RunResult
-from pemviz.runs.uncertainty import UncertaintySource, run_interval_caveats, uncertainty_budget
+from pemviz.runs.uncertainty import (
+    UncertaintySource,
+    remedy_of,
+    run_interval_caveats,
+    uncertainty_budget,
+)
 from pemviz.sampling.estimates.diagnostics import classified
-from pemviz.sampling.estimates.trust import interval_caveats, remedy
+from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.types import Estimate
 
 Table = dict[str, Any]
@@ -219,8 +224,7 @@ def _estimate_table(
 ) -> Table:
     table = _fields_of(estimate)
     against = interval_caveats(estimate) if caveats is None else caveats
-    latents, wrong = result.latents is not None, estimate.diagnostics
-    better = remedy(result.config.method, latents=latents, diagnostics=wrong)
+    better = remedy_of(result, estimate.diagnostics)
     probability, std_error = table.pop("unbiased_probability"), table.pop("unbiased_std_error")
     diagnostics, confidence = table.pop("diagnostics"), table.pop("confidence")
     return {

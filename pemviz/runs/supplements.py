@@ -26,7 +26,12 @@ from pemviz.runs.result import (
     own_memory,
 )
 from pemviz.runs.specification import build_formula, build_problem
-from pemviz.runs.uncertainty import reference_diagnostics, run_interval_caveats
+from pemviz.runs.uncertainty import (
+    SEVERAL_SLOTS,
+    memory_option,
+    reference_diagnostics,
+    run_interval_caveats,
+)
 from pemviz.sampling.bursts import curve as curves
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.estimates.diagnostics import SMALL_ESS
@@ -131,7 +136,7 @@ def _with_measured(result: RunResult, *, experiment: Experiment) -> RunResult:
     memory = result.memory
     if memory is None or result.estimate is None:
         return result
-    reason = _unmeasured_because(experiment)
+    reason = _unmeasured_because(experiment, result)
     if reason is not None:
         return replace(result, memory=replace(memory, unmeasured=reason))
     memories = measured_memories(memory)
@@ -146,17 +151,16 @@ def _with_measured(result: RunResult, *, experiment: Experiment) -> RunResult:
     return replace(result, memory=replace(memory, measured=found), rules=rules)
 
 
-def _unmeasured_because(experiment: Experiment) -> str | None:
+def _unmeasured_because(experiment: Experiment, result: RunResult) -> str | None:
+    if turns_of(experiment.problem.simulator) > 1:
+        return f"{SEVERAL_SLOTS}; a run with another --memory-s tells"
     if not experiment.config.measured_memory:
         return "measured_memory is switched off"
     if memory_of(experiment.pem).hidden:
         return "not with hidden properties of your own"
-    if turns_of(experiment.problem.simulator) > 1:
-        tau_s = max(curves.ALIKE_S.values())
-        return f"not beside the run with several slots; a run with --memory-s {tau_s:g} tells"
     twin = experiment.back_end.scenario_alone.twin
     if twin is None or latent_counts(twin):
-        return "not without a fast twin whose start is fixed; --memory-curve may tell"
+        return f"not without a fast twin whose start is fixed; {memory_option(result)} may tell"
     return experiment.twin_doubt or None
 
 

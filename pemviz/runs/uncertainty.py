@@ -14,7 +14,11 @@ from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.estimates.diagnostics import reference_disagreement, unreliable_reference
 from pemviz.sampling.estimates.trust import interval_caveats, remedy
 from pemviz.sampling.registry import by_name
+from pemviz.sampling.zero_variance.unsafe_states import is_of_single_states
 from pemviz.types import Diagnostic
+
+SEVERAL_SLOTS = "not beside the run with several slots"
+"""Begins why nothing was measured where there are; curves take none either."""
 
 
 def run_diagnostics(result: RunResult) -> tuple[Diagnostic, ...]:
@@ -56,12 +60,29 @@ def run_remedy(result: RunResult) -> str | None:
     doubted = any(interval_caveats(rule) for rule in rules if rule.ci_low is not None)
     if estimate is None or not (doubted or run_interval_caveats(result)):
         return None
-    return _remedy(result)
+    return remedy_of(result, run_diagnostics(result))
 
 
-def _remedy(result: RunResult) -> str:
-    latents, wrong = result.latents is not None, run_diagnostics(result)
-    return remedy(result.config.method, latents=latents, diagnostics=wrong)
+def remedy_of(result: RunResult, diagnostics: Iterable[Diagnostic]) -> str:
+    """What to try where a run's estimate has these diagnostics; nothing that the run refuses."""
+    config, checks = result.config, list[str]()
+    has_twin = config.is_braking_scenario and config.simulator != "sumo"
+    has_twin = has_twin and config.position_errors is None and result.latents is None
+    if has_twin and is_of_single_states(config.spec):
+        checks.append("zero-variance")
+    if config.lost == "end":  # others go on from what may break
+        checks.append("splitting" if has_twin else "subset")
+    return remedy(config.method, checks=checks, diagnostics=diagnostics)
+
+
+def memory_option(result: RunResult) -> str:
+    """What looks at other memories of misses than the run's, of what the run does not refuse."""
+    memory = result.memory or RunMemory(tau_s=0.0)
+    if memory.hidden:
+        return "a run with other hidden properties"
+    if result.config.lost == "end" and not memory.unmeasured.startswith(SEVERAL_SLOTS):
+        return "--memory-curve"
+    return "a run with another --memory-s"
 
 
 def data_warnings(result: RunResult) -> tuple[str, ...]:
@@ -104,7 +125,7 @@ def uncertainty_budget(result: RunResult) -> tuple[UncertaintySource, ...]:
 def _sources(result: RunResult) -> Iterator[UncertaintySource]:
     estimate, caveats = result.estimate, run_interval_caveats(result)
     assert estimate is not None  # noqa: S101  checked before
-    better = _remedy(result)
+    better = remedy_of(result, run_diagnostics(result))
     yield UncertaintySource(
         kind="sampling",
         name=f"sampling, {'not a ' if caveats else ''}{100.0 * estimate.confidence:g} % interval",
@@ -156,7 +177,7 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
         )
     if result.model_classes:
         yield _model_classes(result)
-    yield _memory(result.memory or RunMemory(tau_s=0.0))
+    yield _memory(result.memory or RunMemory(tau_s=0.0), option=memory_option(result))
     bound, name = result.data_bound, "the training data alone"
     if bound is None:
         yield UncertaintySource(
@@ -192,7 +213,7 @@ def _model_classes(result: RunResult) -> UncertaintySource:
     )
 
 
-def _memory(memory: RunMemory) -> UncertaintySource:
+def _memory(memory: RunMemory, *, option: str) -> UncertaintySource:
     points = (*memory.curve, *memory.frailty_curve, *(one.point for one in memory.measured))
     low, high = ends_of(points)
     return UncertaintySource(
@@ -201,7 +222,7 @@ def _memory(memory: RunMemory) -> UncertaintySource:
         low=low,
         high=high,
         note="",
-        narrowed_by="tracked video of this detector" if points else "--memory-curve bounds it",
+        narrowed_by="tracked video of this detector" if points else option,
     )
 
 

@@ -59,7 +59,7 @@ class MethodDescription:
         interval_caveat: Why the method's intervals, even those that no diagnostic speaks against,
             are none at their level; ``None`` where they are.
         remedy: What to try where an answer is not to be trusted, in words.
-        remedy_with_latents: The same where the scenario has latents; ``None``: no other.
+        is_checked: Whether to hold other methods against it is a remedy too.
         narrows: What halves the interval, in words.
         stages: What the stages of a repetition are: one ``learning`` from the other, independent
             ``runs``, or ``parts`` of one batch.
@@ -87,7 +87,7 @@ class MethodDescription:
     interval_basis: IntervalBasis = "weights"
     interval_caveat: str | None = None
     remedy: str = "more rollouts"
-    remedy_with_latents: str | None = None
+    is_checked: bool = False
     narrows: str = "four times the rollouts"
     stages: StageMeaning = "learning"
     stage_interval: StageInterval = "log-normal"

@@ -9,19 +9,19 @@ import pytest
 from pemviz.analysis.model_uncertainty import ModelClassAnswer
 from pemviz.charts.chart import DOTTED
 from pemviz.charts.svg import svg
-from pemviz.config import METHODS
+from pemviz.config import METHODS, EncounterConfig
 from pemviz.latents import LatentCounts
 from pemviz.recording.text import answer_text
 from pemviz.reports.answer_words import uncertainty_table
 from pemviz.reports.charts import uncertainty_chart
 from pemviz.reports.markdown import summary_markdown
-from pemviz.reports.run_document import MOST_WARNINGS
-from pemviz.reports.terminal import print_summary
+from pemviz.reports.run_document import MOST_WARNINGS, run_document
+from pemviz.reports.terminal import plain_lines, print_summary
 from pemviz.runs.result import MeasuredAnswer, MeasuredTau, RunMemory
 from pemviz.runs.result_file import result_document
-from pemviz.runs.uncertainty import uncertainty_budget
+from pemviz.runs.uncertainty import SEVERAL_SLOTS, run_remedy, uncertainty_budget
 from pemviz.sampling.bursts.curve import CurvePoint
-from tests.reports.runs import estimate, result, warned
+from tests.reports.runs import NASTY, estimate, result, warned
 
 
 def model_class(name, log10, *, effective=50.0):
@@ -110,11 +110,56 @@ def test_an_interval_that_does_not_hold_comes_with_what_to_try(method, capsys):
     assert f"try next: {sampling.narrowed_by}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("changes", "checks"),
+    [
+        ({}, "zero-variance or splitting"),
+        ({"spec": "eventually[0,99] (gap >= 2.0)"}, "splitting"),
+        ({"spec": NASTY}, "splitting"),
+        ({"simulator": "own"}, "subset"),
+        ({"simulator": "sumo"}, "subset"),
+        ({"position_errors": "pointrcnn"}, "subset"),
+        ({"encounter": EncounterConfig(logical_scenario="cut-in")}, "subset"),
+        ({"lost": "none"}, "zero-variance"),
+        ({"lost": "none", "simulator": "own"}, None),
+    ],
+)
+def test_no_method_is_recommended_that_the_run_refuses(changes, checks):
+    wrong = warned("the weights' tail is too heavy", kind="died-out")
+    one = result(estimate(method="auto", diagnostics=(wrong,)))
+    one = replace(one, config=replace(one.config, **changes))
+    beside = f"; --method {checks} beside it" if checks else ""
+    assert run_remedy(one) == f"a larger --max-rollouts{beside}"
+
+
+@pytest.mark.parametrize(
+    ("config", "memory", "option"),
+    [
+        ({}, {}, "--memory-curve"),
+        ({"lost": "violation"}, {}, "a run with another --memory-s"),
+        ({"lost": "none"}, {"tau_s": 0.25}, "a run with another --memory-s"),
+        ({}, {"unmeasured": f"{SEVERAL_SLOTS}; why"}, "a run with another --memory-s"),
+        ({}, {"hidden": ("rain",)}, "a run with other hidden properties"),
+    ],
+)
+def test_no_look_at_other_memories_is_recommended_that_the_run_refuses(config, memory, option):
+    memory = RunMemory(**{"tau_s": 0.0, **memory})
+    one = result(estimate(method="mixture"), memory=memory)
+    one = replace(one, config=replace(one.config, **config))
+    assert sources(one)["memory"].narrowed_by == option
+    sections = run_document(one).sections
+    text = " ".join(plain_lines(b for part in sections for b in (*part.brief, *part.full)))
+    assert f"not looked at in this run: {option} does" in text
+    assert ("--memory-curve" in text) == (option == "--memory-curve")
+    if memory.is_independent:
+        assert f"an assumption, and {option} shows what it changes" in text
+
+
 def test_no_method_that_runs_through_states_is_recommended_where_latents_leave_none(capsys):
     wrong = warned("the weights' tail is too heavy", kind="died-out")
     one = estimate(method="mixture", diagnostics=(wrong,))
     doubted = result(one, latents=LatentCounts(noise=1))
-    assert sources(doubted)["sampling"].narrowed_by == "more rollouts; --method splitting beside it"
+    assert sources(doubted)["sampling"].narrowed_by == "more rollouts; --method subset beside it"
     print_summary(doubted, Path("run"))
     assert "zero-variance" not in capsys.readouterr().out
     assert "zero-variance" in sources(replace(doubted, latents=None))["sampling"].narrowed_by

@@ -284,7 +284,7 @@ def test_a_run_says_what_it_assumes_and_asks_refits_and_model_classes():
     assert "frailty 0.5" in summary_text(result)
     (source,) = (source for source in uncertainty_budget(result) if source.kind == "memory")
     assert "0.2 s, frailty 0.5 assumed" in source.name
-    assert source.narrowed_by == "--memory-curve bounds it"
+    assert source.narrowed_by == "--memory-curve"
 
 
 @pytest.mark.parametrize("frailty", [5.1, -0.1, math.nan])

@@ -81,8 +81,8 @@ AUTO = MethodDescription(
     summary="plain rollouts for as long as they pay, then mixture until the answer is precise",
     build=_build,
     recount=_recounted,
-    remedy="a larger --max-rollouts; --method zero-variance or splitting beside it",
-    remedy_with_latents="a larger --max-rollouts; --method subset beside it",
+    remedy="a larger --max-rollouts",
+    is_checked=True,
     narrows="half the --precision",
     settings=frozenset(
         {

@@ -4,7 +4,7 @@ Decided here, for all that show one and for the gate.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from pemviz.errors import ConfigError
@@ -40,12 +40,13 @@ def interval_caveats(
     return caveats(wrong, method=estimate.method)
 
 
-def remedy(method: str, *, latents: bool = False, diagnostics: Iterable[Diagnostic] = ()) -> str:
+def remedy(
+    method: str, *, checks: Sequence[str] = (), diagnostics: Iterable[Diagnostic] = ()
+) -> str:
     """What to try where an answer of ``method`` is not to be trusted, in words.
 
-    What one of its ``diagnostics`` says comes before what the method does.
-
-    With ``latents`` no method runs through the scenario's states.
+    What one of its ``diagnostics`` says comes before what the method does; ``checks`` are methods
+    that can be had for the same.
     """
     for one in diagnostics:
         if (known := MEANINGS[one.kind].remedy) is not None:
@@ -53,7 +54,10 @@ def remedy(method: str, *, latents: bool = False, diagnostics: Iterable[Diagnost
     described = _description(method)
     if described is None:
         return "another method"
-    return (described.remedy_with_latents if latents else None) or described.remedy
+    beside = (
+        f"; --method {' or '.join(checks)} beside it" if described.is_checked and checks else ""
+    )
+    return f"{described.remedy}{beside}"
 
 
 def rests_on_weights(method: str) -> bool:

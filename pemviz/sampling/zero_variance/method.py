@@ -136,7 +136,7 @@ def require_unsafe(problem: Problem, *, method: str = "zero-variance") -> Unsafe
     if problem.unsafe is None:
         message = (
             f"method {method}: the specification must be 'always' over a condition on single "
-            "states, such as always[0,99] (gap >= 2.0); use mixture or adaptive for others"
+            "states, such as always[0,99] (gap >= 2.0); use mixture for others"
         )
         raise InputError(message)
     return problem.unsafe

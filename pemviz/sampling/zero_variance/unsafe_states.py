@@ -152,6 +152,14 @@ def unsafe_states(formula: Formula, *, turns: int = 1) -> UnsafeStates | None:
     return None if rules is None else UnsafeStates(rules, turns)
 
 
+def is_of_single_states(text: str) -> bool:
+    """Whether a formula's text has :func:`unsafe_states`; not of text that is none."""
+    try:
+        return _rules(stl.parse(text)) is not None
+    except stl.FormulaError:
+        return False
+
+
 def _rules(formula: Formula) -> tuple[StateRule, ...] | None:
     if formula.horizon_steps() == 0 and not any(isinstance(p, Always) for p in formula.walk()):
         return (StateRule(0, 0, formula),)
