@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 
@@ -41,6 +40,8 @@ def assign_boxes(
     partner = np.full(len(obstacles), -1, dtype=np.int64)
     if not obstacles or not detections:
         return result, partner
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  slow to import
+
     overlap = iou(np.asarray(obstacles, dtype=np.float64), np.asarray(detections, dtype=np.float64))
     if types is not None:
         overlap *= np.asarray(types[0])[:, None] == np.asarray(types[1])[None, :]

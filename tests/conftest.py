@@ -1,9 +1,13 @@
 import os
 import signal
+import sys
 from pathlib import Path
 
 # a worker a core: threads within one would but wait for those of the others; before numpy is loaded
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# hundreds of processes are started: each would compile anew what may not be kept compiled
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    sys.dont_write_bytecode = False
 
 import numpy as np
 import pytest

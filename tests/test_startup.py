@@ -59,7 +59,7 @@ def test_other_commands_explain_themselves_without_torch(command):
 
 
 def test_a_run_needs_not_all_of_scipy():
-    watched = {"torch", "scipy.stats", "scipy.interpolate", "pandas", "matplotlib"}
+    watched = {"torch", "scipy.stats", "scipy.optimize", "pandas", "matplotlib"}
     code = "import sys, pemviz.cli.record_run;"
     code += f"print('loaded', sorted({watched!r} & set(sys.modules)))"
     assert loaded(code) == "loaded []"

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import polygamma, stdtrit
 
 from pemviz.analysis.band_models import BandOutcomes
@@ -97,6 +96,8 @@ def labels_to_halve(log_missed: FloatArray) -> int:
 
 def misses_for(variance: float) -> float:
     """How many misses leave log P(missed) with this variance: trigamma's inverse."""
+
+    from scipy.optimize import brentq  # noqa: PLC0415  slow to import
 
     def excess(log_misses: float) -> float:
         return math.log(float(np.asarray(polygamma(1, math.exp(log_misses))))) - math.log(variance)

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize
 
 from pemviz.analysis.band_models import (
     BANDS,
@@ -183,6 +182,8 @@ class _Allocation:
     def _meeting(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Where the line from ``low``, which meets the target, to ``high`` no longer does."""
 
+        from scipy.optimize import brentq  # noqa: PLC0415  slow to import
+
         def excess(share: float) -> float:
             return self.excess(low + share * (high - low))
 
@@ -191,6 +192,8 @@ class _Allocation:
 
     def _improved(self, start: FloatArray) -> FloatArray:
         """A cheaper requirement near ``start`` that still meets the target, or ``start``."""
+
+        from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
         def spare(log_miss: FloatArray) -> float:
             return -self.excess(log_miss)

@@ -10,7 +10,6 @@ from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import gammaincinv
 
 from pemviz.analysis.risk_factors import (
@@ -184,6 +183,8 @@ def hours_needed(count: Count, *, high: float) -> float | None:
     either: chi^2_{0.975}(2 k + 2) / (2 T) with k = events T / hours. ``None``: never, or out of
     reach.
     """
+    from scipy.optimize import brentq  # noqa: PLC0415  slow to import
+
     if count.events == 0:
         needed = float(gammaincinv(1.0, HIGH)) / high
         return max(needed, count.of) if needed <= MOST_HOURS else None

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from pemviz.analysis.causes import Failures
 from pemviz.analysis.outcome_likelihood import (
@@ -190,6 +189,8 @@ def _meeting(
     target: float,
 ) -> tuple[float | None, float | None, str | None]:
     """The factor that meets the target, the failures' effective sample size there, a warning."""
+    from scipy.optimize import brentq  # noqa: PLC0415  slow to import
+
     log_share = np.log(np.maximum(failures.share, np.finfo(np.float64).tiny))
 
     def reweighted(log_factor: float) -> FloatArray:

@@ -1,7 +1,6 @@
 """Which detection belongs to which obstacle, by how near their centres are."""
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from pemviz.arrays import FloatArray, IntArray
 
@@ -21,6 +20,8 @@ def assign_centres(
     partner = np.full(len(obstacles), -1, dtype=np.int64)
     if not len(obstacles) or not len(detections):
         return apart, partner
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  slow to import
+
     near = nearness(obstacles, detections, below_m=below_m)
     rows, columns = linear_sum_assignment(near, maximize=True)
     paired = near[rows, columns] > 0.0

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import expit
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
@@ -491,6 +490,8 @@ def _weights(pool: Pool, elites: Elites, exponent: float) -> FloatArray:
 
 def smoothing_exponent(log_weight: FloatArray, *, least_ess: float) -> float:
     """Largest exponent in [0, 1] that leaves weights ``[M]`` the wanted effective sample size."""
+    from scipy.optimize import brentq  # noqa: PLC0415  slow to import
+
     relative = log_weight - np.max(log_weight)
 
     def excess(exponent: float) -> float:
