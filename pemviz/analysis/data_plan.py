@@ -96,7 +96,6 @@ def labels_to_halve(log_missed: FloatArray) -> int:
 
 def misses_for(variance: float) -> float:
     """How many misses leave log P(missed) with this variance: trigamma's inverse."""
-
     from scipy.optimize import brentq  # noqa: PLC0415  slow to import
 
     def excess(log_misses: float) -> float:

@@ -181,7 +181,6 @@ class _Allocation:
 
     def _meeting(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """Where the line from ``low``, which meets the target, to ``high`` no longer does."""
-
         from scipy.optimize import brentq  # noqa: PLC0415  slow to import
 
         def excess(share: float) -> float:
@@ -192,7 +191,6 @@ class _Allocation:
 
     def _improved(self, start: FloatArray) -> FloatArray:
         """A cheaper requirement near ``start`` that still meets the target, or ``start``."""
-
         from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
         def spare(log_miss: FloatArray) -> float:

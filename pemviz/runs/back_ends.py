@@ -80,10 +80,11 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
     has_twin = errors is None and config.simulator != "sumo"
+    alike = isinstance(simulator, VectorizedSimulator)
     return BackEnd(
         simulator=simulator,
         features=BrakingFeatures(config.scenario, errors),
-        twin=VectorizedSimulator(config.scenario) if has_twin else None,
+        twin=(simulator if alike else VectorizedSimulator(config.scenario)) if has_twin else None,
         batch_rollouts=_batch_rollouts(config),
         position_errors=errors,
     )
@@ -151,7 +152,8 @@ def own_back_end(
                 "lead to; of a random start alone, give pemviz.quantised_start(simulator, "
                 f"cells=...); without a twin, {FIT_ANYWHERE.format(check='subset')}"
             )
-        check_simulator(twin)
+        if twin is not given:
+            check_simulator(twin)
         if _shape_of(twin) != _shape_of(simulator):
             raise ConfigError(f"{where}: must have the same states and signals")
     own = _single_outcome(given)

@@ -8,7 +8,7 @@ import gc
 import random
 import sys
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
@@ -40,6 +40,8 @@ ADAPTER = "reset"
 
 Asked = tuple[str, str]
 """What was given a seed, and the seed in words."""
+Bound = tuple[dict[str, Any], str, Any, str]
+"""A module's names, one of them, what it stands for, and what this is called at home."""
 
 
 @dataclass
@@ -92,15 +94,16 @@ def drawn_alike(
             number (0 or 1) and always the same outcomes.
         difference: In which two states differ, in words; empty if they do not.
     """
+    bound = _bound()
     (states, drawn, seeds), (_, drawn_too, seeds_too) = (
-        _watched(simulator, rollout(number)) for number in range(2)
+        _watched(simulator, rollout(number), bound) for number in range(2)
     )
     if drawn & drawn_too:
         return f"{ALIKE}: its steps draw them"
     fixed = frozenset(seeds & seeds_too)
     for shift in range(1, OTHER_SEEDS + 1) if fixed else ():
         try:
-            with _in_force(Sources(others=fixed, shift=shift)):
+            with _in_force(Sources(others=fixed, shift=shift), bound):
                 others = list(rollout(0))
         except ConfigError as error:  # it knows no other course
             return f"{ALIKE}; from another seed there is none: {error}"
@@ -111,10 +114,10 @@ def drawn_alike(
 
 
 def _watched(
-    simulator: object, rollout: Iterator[StateBatch]
+    simulator: object, rollout: Iterator[StateBatch], bound: Sequence[Bound]
 ) -> tuple[list[StateBatch], set[Asked], set[Asked]]:
     """The states, what is drawn in steps, and all seeds asked for."""
-    with _in_force(Sources()) as sources:
+    with _in_force(Sources(), bound) as sources:
         states = [next(rollout)]
         at_start, generators = set(sources.asked), _generators((simulator, states[0]))
         states.extend(rollout)
@@ -123,30 +126,32 @@ def _watched(
     return states, in_steps | moved, sources.asked
 
 
-@contextmanager
-def _in_force(sources: Sources) -> Generator[Sources]:
-    """With every module's name of what takes a seed bound to what tells it to ``sources``."""
-    seeded = [*SEEDED, *((m, "manual_seed") for m in [sys.modules.get("torch")] if m is not None)]
-    proxies = {
-        id(original): _telling(name, original, sources)
-        for module, name in seeded
-        for original in [getattr(module, name)]
-    }
-    bound = [
-        (names, name, value)
-        for module in list(sys.modules.values())
-        for names in [getattr(module, "__dict__", None)]
-        if isinstance(names, dict)
+def _bound() -> list[Bound]:
+    """Where modules have what takes a seed."""
+    torch = sys.modules.get("torch")
+    seeded = [*SEEDED, *((module, "manual_seed") for module in [torch] if module is not None)]
+    names_of = {id(getattr(module, name)): name for module, name in seeded}
+    dicts = [getattr(module, "__dict__", None) for module in list(sys.modules.values())]
+    return [
+        (names, name, value, names_of[id(value)])
+        for names in dicts
+        if isinstance(names, dict) and not names_of.keys().isdisjoint(map(id, list(names.values())))
         for name, value in list(names.items())
-        if id(value) in proxies
+        if id(value) in names_of
     ]
+
+
+@contextmanager
+def _in_force(sources: Sources, bound: Sequence[Bound]) -> Generator[Sources]:
+    """With what takes a seed replaced, wherever it is bound, by what tells it to ``sources``."""
+    proxies = {id(value): _telling(own, value, sources) for _, _, value, own in bound}
     _IN_FORCE.append(sources)
     try:
-        for names, name, value in bound:
+        for names, name, value, _ in bound:
             names[name] = proxies[id(value)]
         yield sources
     finally:
-        for names, name, value in bound:
+        for names, name, value, _ in bound:
             names[name] = value
         _IN_FORCE.pop()
 

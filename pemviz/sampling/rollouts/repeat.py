@@ -85,8 +85,10 @@ def repeat_some(
     found = _compared(problem, once, again)
     if twin is None or start_cells(twin) != start_cells(problem.simulator):
         return found
-    start = None if once.latents is None else once.latents.start
-    signals = replay(simulator=twin, detected=once.detected, start=start)
+    signals = again.signals
+    if twin is not problem.simulator:
+        start = None if once.latents is None else once.latents.start
+        signals = replay(simulator=twin, detected=once.detected, start=start)
     verdicts = score(problem.without_rules(), replace(once, signals=signals)).violated
     differing = int(np.count_nonzero(verdicts != some.violated))
     return replace(found, on_twin=once.count, twin_differing=differing)

@@ -304,10 +304,13 @@ def composed(
         raise ConfigError(message)
     model = with_hidden(pem, properties)
     own = pem if isinstance(model, ChainModel) else None
+    simulator = twin = system_of(back_end.simulator, properties, pem=own)
+    if back_end.twin is not back_end.simulator:
+        twin = None if back_end.twin is None else system_of(back_end.twin, properties, pem=own)
     system = replace(
         back_end,
-        simulator=system_of(back_end.simulator, properties, pem=own),
-        twin=None if back_end.twin is None else system_of(back_end.twin, properties, pem=own),
+        simulator=simulator,
+        twin=twin,
         features=ComposedFeatures(back_end.features, properties),
         single_outcomes=back_end,
     )
