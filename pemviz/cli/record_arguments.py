@@ -156,7 +156,8 @@ def parse(words: Sequence[str]) -> RecordArguments:
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
     arguments = _with_shorthands(_with_rules(arguments, start.experiment))
-    begun = {name: getattr(start.experiment, name) for name in WITHOUT_EFFECT}
+    free = (*WITHOUT_EFFECT, "lost") if start.experiment.lost == "end" else WITHOUT_EFFECT
+    begun = {name: getattr(start.experiment, name) for name in free}
     if source.resume and replace(arguments.experiment, **begun) != start.experiment:
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "

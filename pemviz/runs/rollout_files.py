@@ -246,9 +246,14 @@ def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
 
 
 def _belongs_to(path: Path) -> bytes:
-    """What a stage's file is of: repetition and stage by its name, a run by its settings."""
+    """What a stage's file is of: repetition and stage by its name, a run by its settings.
+
+    By those but ``lost``, which a run that loses its first rollout may go on with another of.
+    """
     settings = path.parent.parent / "config.toml"
-    return path.name.encode() + b"\n" + (settings.read_bytes() if settings.is_file() else b"")
+    lines = settings.read_bytes().splitlines(keepends=True) if settings.is_file() else []
+    own = (line for line in lines if not line.startswith(b"lost = "))
+    return path.name.encode() + b"\n" + b"".join(own)
 
 
 def stage_files(folder: Path) -> list[Path]:

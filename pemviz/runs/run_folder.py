@@ -14,8 +14,8 @@ import numpy as np
 from safetensors.numpy import save as save_tensors
 
 from pemviz.arrays import AnyArray
-from pemviz.config import KeepName
-from pemviz.config.toml_files import config_text
+from pemviz.config import KeepName, LostName
+from pemviz.config.toml_files import config_text, load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import held, write_bytes, write_text
 from pemviz.runs import events, rollout_files
@@ -25,10 +25,11 @@ from pemviz.runs.experiment import Experiment
 from pemviz.runs.ranking import kept_rows
 from pemviz.runs.reading import CONFIG, result_left, run_differs
 from pemviz.runs.result import RunResult
-from pemviz.runs.result_file import has_result, write_result
+from pemviz.runs.result_file import RESULT_FILE, has_result, write_result
 from pemviz.runs.rollout_files import PART_FOLDER, ROLLOUTS_FILE
 from pemviz.sampling.problem import FinishedStage, rule_scores
-from pemviz.types import Signal, StageResult
+from pemviz.sampling.rollouts.losing import marked
+from pemviz.types import LOST, Signal, StageResult
 
 LOG = logging.getLogger(__name__)
 LOCK, RECORDING, PROPOSALS = ".lock", "run.rrd", "proposals.safetensors"
@@ -258,6 +259,7 @@ def carry_out(
     """
     with run_lock(folder):
         check_resumable(experiment, folder)
+        _let_lose(folder, experiment.config.lost)
         archive = Archive(folder, experiment.declared.signals)
         store = RunStore(folder, archive=archive, others=(RECORDING,))
         return run(
@@ -278,12 +280,32 @@ def going_on(experiment: Experiment, archive: Archive) -> Experiment:
     def judged(repetition: int, stage: int) -> FinishedStage | None:
         """A finished stage with each rule's verdict, which follows from its rollouts."""
         found = finished(repetition, stage)
+        if found is not None and problem.lost != "end" and LOST not in found.scored.rollouts.memory:
+            scored = replace(found.scored, rollouts=marked(found.scored.rollouts))
+            found = replace(found, scored=scored)
         if found is None or not problem.rules:
             return found
         by_rule = rule_scores(problem, found.scored.rollouts)
         return replace(found, scored=replace(found.scored, **by_rule))
 
     return replace(experiment, problem=replace(problem, finished=judged))
+
+
+def _let_lose(folder: Path, lost: LostName) -> None:
+    """Have a run that the first lost rollout would have ended count those that come.
+
+    A kill in between leaves stages without a result, from which it goes on too.
+    """
+    path = folder / CONFIG
+    config = load_config(path) if path.exists() else None
+    if config is None or config.lost != "end" or lost == "end":
+        return
+    result = result_left(folder)
+    (folder / RESULT_FILE).unlink(missing_ok=True)
+    write_text(path, config_text(replace(config, lost=lost)))
+    if result is not None:
+        result = replace(result, config=replace(result.config, lost=lost))
+        write_result(folder, result, files=(CONFIG,))
 
 
 @contextlib.contextmanager
@@ -316,10 +338,12 @@ def check_resumable(experiment: Experiment, folder: Path) -> None:
                 folder,
             )
         return
-    errors = experiment.back_end.position_errors
+    config, errors = experiment.config, experiment.back_end.position_errors
+    if result.status != "done" and result.config.lost == "end":  # none can be among the rollouts
+        config = replace(config, lost="end")
     difference = run_differs(
         result,
-        config=experiment.config,
+        config=config,
         pem_digest=experiment.pem.digest,
         position_digest=None if errors is None else errors.digest,
     )

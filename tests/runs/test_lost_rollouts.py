@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import pemviz
+from pemviz.cli.record_arguments import parse
+from pemviz.config.toml_files import config_text
 from pemviz.reports.gate import decide_run
 from pemviz.runs.events import StageDone
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import Archive, carry_out, going_on
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.problem import score
 from pemviz.sampling.rollouts.losing import lost_at, lost_rows, marked
@@ -125,6 +127,48 @@ def test_a_run_that_is_gone_on_with_tells_of_the_same_losses(tmp_path, keep):
     carry_out(asked, folder)
     assert kept(folder) == kept(whole)
     assert pemviz.read_result(folder).lost == pemviz.read_result(whole).lost
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"method": "auto", "stages": 3, "rollouts": 60, "final_rollouts": 60},
+        {"method": "monte-carlo", "repetitions": 20, "final_rollouts": 200, "keep": "violations"},
+    ],
+)
+def test_a_run_that_a_rollout_ended_goes_on_as_if_such_had_counted_from_the_start(
+    tmp_path, options, caplog
+):
+    """What it kept lost none, and is read back: a stage of plain rollouts, or some repetitions."""
+    options = {"miss": RARE, "seed": 3, **options}
+    whole = carried_out(tmp_path, "whole", "raises", lost="none", **options)
+    assert pemviz.read_result(whole).lost is not None
+    with pytest.raises(pemviz.RunError, match="wheel fell off"):
+        carried_out(tmp_path, "ended", "raises", lost="end", **options)
+    ended = tmp_path / "ended" / "run"
+    assert pemviz.read_result(ended).stages
+    with pytest.raises(pemviz.InputError, match="seed = 3, not 4"):
+        carry_out(experiment("raises", lost="none", **{**options, "seed": 4}), ended)
+    asked = experiment("raises", lost="none", **options)
+    left = going_on(asked, Archive(ended, asked.declared.signals)).problem.finished(0, 0)
+    assert (left is None) == ("keep" in options)  # what is kept in part is simulated again
+    assert left is None or not left.scored.rollouts.memory[LOST].any()
+    carry_out(asked, ended)
+    assert not caplog.messages
+    assert kept(ended) == kept(whole)
+    with pytest.raises(pemviz.InputError, match="lost = 'none', not 'violation'"):
+        carry_out(experiment("raises", lost="violation", **options), ended)
+
+
+def test_only_a_run_that_had_to_end_is_resumed_with_another_lost(tmp_path):
+    def asked(begun):
+        config = replace(pemviz.ExperimentConfig(), lost=begun)
+        (tmp_path / "config.toml").write_text(config_text(config))
+        return parse(["--resume", str(tmp_path), "--lost", "violation"]).experiment
+
+    assert asked("end").lost == "violation"
+    with pytest.raises(pemviz.InputError, match="goes on with its own configuration"):
+        asked("none")
 
 
 def test_what_violated_before_it_broke_violates_however_it_counts():
