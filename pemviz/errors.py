@@ -1,5 +1,7 @@
 """The errors a user can act on, each one line: what, where, allowed; and the exit codes."""
 
+from collections.abc import Callable
+
 EXIT_DONE = 0
 EXIT_GATE_TRIPPED = 1
 EXIT_BAD_INPUT = 2
@@ -52,12 +54,24 @@ class RunError(PemvizError):
         self,
         message: str = "",
         *,
-        traceback_text: str = "",
+        traceback_text: str | Callable[[], str] = "",
         rollout: tuple[int, int, int] | None = None,
     ) -> None:
-        """Keep all three."""
+        """Keep all three; what gives the text is asked for it late, as few errors are shown."""
         super().__init__(message)
-        self.traceback_text, self.rollout = traceback_text, rollout
+        self._traceback, self.rollout = traceback_text, rollout
+
+    @property
+    def traceback_text(self) -> str:
+        """See above."""
+        if not isinstance(self._traceback, str):
+            self._traceback = self._traceback()
+        return self._traceback
+
+    def __reduce__(self) -> str | tuple[object, ...]:
+        """To another process goes the text."""
+        self._traceback = self.traceback_text
+        return super().__reduce__()
 
 
 class UndecidedError(PemvizError):

@@ -12,6 +12,7 @@ import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
@@ -54,7 +55,7 @@ class SimulationError(RunError):
         why: str = "",
         step: int | range | None = None,
         rollouts: range | None = None,
-        traceback_text: str = "",
+        traceback_text: str | Callable[[], str] = "",
     ) -> None:
         """Tell what is known where it happened."""
         super().__init__(what, traceback_text=traceback_text)
@@ -123,7 +124,7 @@ def blame(
         found = SimulationError(
             f"{what} raises {type(error).__name__}",
             why=message_of(error),
-            traceback_text=traceback_of(error),
+            traceback_text=partial(traceback_of, error),
         )
     found.broke = breaks
     found.add(step=step, rollouts=rollouts)
