@@ -1,14 +1,12 @@
 """One rollout of a run again, alone: with what it was given, and what came of it."""
 
-import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
 
 import pemviz
+from pemviz.cli.main import main
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.rollout_files import load_rollouts
 from pemviz.runs.run_folder import carry_out
@@ -154,34 +152,31 @@ def test_what_there_is_not_is_refused(whole, given, words):
         pemviz.replay(whole[0], experiment=experiment("holds"), **given)
 
 
-def test_the_command_line_names_the_command_and_its_exit_codes(tmp_path):
+def test_the_command_line_names_the_command_and_its_exit_codes(tmp_path, monkeypatch, capfd):
     info = tmp_path / "fragile-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
     point = "fragile-walk = tests.fragile_walk:simulator"
     (info / "entry_points.txt").write_text(f"[pemviz.simulators]\n{point}\n")
-    path = os.pathsep.join([str(tmp_path), *(p for p in sys.path if p)])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
 
     def pemviz_command(*words):
-        command = [sys.executable, "-m", "pemviz", *words]
-        return subprocess.run(
-            command, env={**os.environ, "PYTHONPATH": path}, cwd=tmp_path, capture_output=True,
-            text=True, check=False, timeout=300,
-        )  # fmt: skip
+        return main(list(words)), capfd.readouterr()  # of processes that it starts too
 
     words = ["--simulator", "fragile-walk", "--pem", "tests.fragile_walk:PEM", "--allow-python"]
     words += ["--spec", f"always[0,{STATES - 1}] (gap >= 0)", "--method", "monte-carlo"]
     words += ["--final-rollouts", "60", "--seed", "3", "--workers", "2", "--no-recording"]
-    done = pemviz_command("record", *words)
-    assert done.returncode == 3
-    command = re.search(r"see that rollout alone with: pemviz (replay [^;]*);", done.stderr)
+    code, shown = pemviz_command("record", *words)
+    assert code == 3
+    command = re.search(r"see that rollout alone with: pemviz (replay [^;]*);", shown.err)
     assert command is not None
-    again = pemviz_command(*command[1].split())
-    assert again.returncode == 1
-    assert "failed at step 3 of 8: the process was ended by SIGABRT" in again.stdout
-    assert "fragile_walk.py" in again.stderr  # where it aborted
+    code, shown = pemviz_command(*command[1].split())
+    assert code == 1
+    assert "failed at step 3 of 8: the process was ended by SIGABRT" in shown.out
+    assert "fragile_walk.py" in shown.err  # where it aborted
     run = command[1].split()[1]
-    fine = pemviz_command("replay", run, "--stage", "0", "--rollout", "0", "--allow-python")
-    assert (fine.returncode, "ran to the end" in fine.stdout) == (0, True)
-    wrong = pemviz_command("replay", run, "--stage", "9", "--rollout", "0", "--allow-python")
-    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    code, shown = pemviz_command("replay", run, "--stage", "0", "--rollout", "0", "--allow-python")
+    assert (code, "ran to the end" in shown.out) == (0, True)
+    code, shown = pemviz_command("replay", run, "--stage", "9", "--rollout", "0", "--allow-python")
+    assert (code, shown.err.count("\n")) == (2, 1)
