@@ -35,6 +35,7 @@ MethodName = Annotated[str, METHODS]
 MetricName = Literal["classical", "agm", "smooth-cumulative"]
 KeepName = Literal["all", "violations"]
 LostName = Literal["end", "violation", "none"]
+MemoryLaw = Literal["outcomes", "visibility"]
 SHIPPED_SIMULATORS = ("vectorized", "highway-env", "sumo")
 """Back ends of the shipped scenarios."""
 BLACK_BOXES = ("merge",)
@@ -177,6 +178,17 @@ class ExperimentConfig:
     of its own for as long as it is there, with this spread; how often the error model misses in
     all is as without; 0 to 5. 0: all are equal. Left out, the error model's own, and 0 where it has
     none, or with several slots."""
+    memory_law: MemoryLaw = "outcomes"
+    """What hangs together where misses do: outcomes, which are repeated (memory_s) by obstacles
+    that differ (frailty); or visibility, of which a part lasts (frailty) and a part comes and goes
+    (varying_frailty, varying_frailty_s): P(missed) then is the error model's in every frame,
+    however fast the state changes, as of a detector that looks at each image anew. What is left out
+    is the error model's own. One obstacle; not with memory_s."""
+    varying_frailty: Annotated[float, Range(low=0.01, high=5.0)] | None = None
+    """Spread of what comes and goes of an obstacle's visibility, with memory_law visibility; 0.01
+    to 5."""
+    varying_frailty_s: Annotated[float, Range(low=0.01, high=10.0)] | None = None
+    """Time after which that has fallen to 1/e [s], with memory_law visibility; 0.01 to 10."""
     position_errors: str | None = None
     """Errors of the lead car's measured distance, in encounters of the place of every car, which
     the ego then brakes by: a shipped name (pointpillars, pointrcnn) or a file of 'pemviz pem fit
@@ -333,6 +345,7 @@ class ExperimentConfig:
         """
         check_fields(self)
         read_tracker(self.scenario.tracker)
+        self._validate_memory_law()
         self._validate_rules()
         self._validate_encounter()
         self._validate_sumo()
@@ -342,6 +355,18 @@ class ExperimentConfig:
         if not self.simulator.strip():
             message = f"simulator = '': must be {', '.join(SHIPPED_SIMULATORS)} or registered"
             raise ConfigError(message)
+
+    def _validate_memory_law(self) -> None:
+        if self.memory_law == "visibility":
+            if self.memory_s:
+                where = f"memory_s = {self.memory_s:g}"
+                raise ConfigError(f"{where}: must be left out with memory_law visibility")
+            return
+        for name in ("varying_frailty", "varying_frailty_s"):
+            if (value := getattr(self, name)) is not None:
+                raise ConfigError(
+                    f"{name} = {value:g}: must be left out without memory_law visibility"
+                )
 
     def _validate_rules(self) -> None:
         names = [rule.name for rule in self.rules]

@@ -26,6 +26,8 @@ DEEPEST_KEY = 200
 """Dots in a key; tomllib's time grows with the square of their number."""
 FREE_TRAFFIC = "free-traffic"
 """The preset that has the rules of all traffic in SUMO."""
+OWN_MEMORY = ("memory_s", "frailty", "varying_frailty", "varying_frailty_s")
+"""Left out, the error model's own."""
 _TOO_DEEP = "nested too deeply"
 
 
@@ -151,17 +153,16 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
 
     Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
     an hour where there are none, without the braking scenario where it is another that is run and
-    nothing of it was changed, without a memory that is left out or not assumed, without
-    ``measured_memory`` where it is looked at, and without ``keep`` where all is kept.
+    nothing of it was changed, without a memory that is left out or not assumed, its law where that
+    is of outcomes, without ``measured_memory`` where it is looked at, and without ``keep`` where all is kept.
     """
     table = every_setting(config)
-    for name in ("position_errors", "carla", "encounters_per_hour", "memory_s", "frailty"):
+    for name in ("position_errors", "carla", "encounters_per_hour", *OWN_MEMORY):
         if table[name] is None:
             del table[name]
-    if config.assumed_memory_s == 0.0:
-        del table["assumed_memory_s"]
-    if config.measured_memory:
-        del table["measured_memory"]
+    usual = {"assumed_memory_s": 0.0, "memory_law": "outcomes", "measured_memory": True}
+    for name in [name for name, value in usual.items() if table[name] == value]:
+        del table[name]
     if config.scenario.tracker == NO_TRACKER:
         del table["scenario"]["tracker"]
     if not config.is_encounter:

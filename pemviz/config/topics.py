@@ -8,7 +8,8 @@ REST = "*"
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator", "carla",
                  "sumo_config", "encounters_per_hour"),
-    "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "measured_memory",
+    "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "memory_law",
+                 "varying_frailty", "varying_frailty_s", "measured_memory",
                  "memory_curve", "position_errors", "allow_python"),
     "certainty": ("precision", "max_rollouts", "max_minutes", "target", "plan", "reference",
                   "repetitions", "seed", "lost"),

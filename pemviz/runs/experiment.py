@@ -14,9 +14,10 @@ from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
 from pemviz.faults import exception_text, refusing, signals_distinguished
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
-from pemviz.pem.models.cards import memory_of
+from pemviz.pem.models.cards import memory_of, varying_frailty_of
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import Refits
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.runs import back_ends
 from pemviz.runs.salient_names import check_salient_names, outside_training
@@ -158,7 +159,8 @@ def build_experiment(
     _check_hidden(config, back_end, hidden)
     check_salient_names(named, back_end.simulator)
     memory, left_out = _memory(config, named, back_end)
-    back_ends.check_method_fits(config, back_end, frailty=memory.frailty)
+    lasting = memory.frailty if isinstance(memory, Memory) else 0.0
+    back_ends.check_method_fits(config, back_end, frailty=lasting)
     observed = detecting(back_end.simulator) is not None
     ensemble = ensemble_of(config.pem) if pem is None and not observed else None
     model, ensemble = with_slots(back_end.simulator, named, ensemble)
@@ -201,7 +203,7 @@ def _method(config: ExperimentConfig, problem: Problem, back_end: BackEnd) -> Me
 
 def _memory(
     config: ExperimentConfig, named: Pem | Mapping[str, Pem], back_end: BackEnd
-) -> tuple[Memory, tuple[str, ...]]:
+) -> tuple[Memory | VaryingFrailty, tuple[str, ...]]:
     """How misses hang together: as the configuration says, else as the error model itself does.
 
     Returns:
@@ -213,6 +215,8 @@ def _memory(
     memory = Memory(tau_s=config.assumed_memory_s)
     if detecting(back_end.simulator) is not None:
         return Memory(), ()
+    if config.memory_law == "visibility":
+        return _varying_frailty(config, named, back_end), ()
     if len(models) == 1:
         memory = owned.get(models[0].name, memory)
     if config.memory_s is not None:
@@ -227,6 +231,39 @@ def _memory(
         words = f"its frailty {memory.frailty:.2g} is left out: {which} works with frailty 0 alone"
         return replace(memory, frailty=0.0), (f"error model {models[0].name}: {words}",)
     return memory, ()
+
+
+def _varying_frailty(
+    config: ExperimentConfig, named: Pem | Mapping[str, Pem], back_end: BackEnd
+) -> VaryingFrailty:
+    """How visibility comes and goes: as the configuration says, else as the error model itself."""
+    if isinstance(back_end.simulator, UnrolledSimulator) or isinstance(named, Mapping):
+        which = f"simulator {back_end.simulator.name!r}, which has slots,"
+        raise ConfigError(f"memory_law = 'visibility': {which} works with outcomes alone")
+    for name, asked in {
+        f"method = {config.method!r}": config.method == "zero-variance",
+        "reference = true": config.reference,
+        "memory_curve = true": config.memory_curve,
+    }.items():
+        if asked:
+            raise ConfigError(f"{name}: works with memory_law outcomes alone; use mixture")
+    own = varying_frailty_of(named)
+    given = {
+        "varying": config.varying_frailty,
+        "varying_s": config.varying_frailty_s,
+        "frailty": config.frailty,
+    }
+    given = {name: value for name, value in given.items() if value is not None}
+    if own is not None:
+        return replace(own, **given)
+    lacks = {"varying", "varying_s"} - set(given)
+    if lacks:
+        option = "varying_frailty_s" if "varying" in given else "varying_frailty"
+        raise ConfigError(
+            f"memory_law = 'visibility': error model {named.name} says nothing of it; give "
+            f"{option}, or fit a model with 'pemviz pem fit --memory'"
+        )
+    return VaryingFrailty(**{"frailty": 0.0, **given})
 
 
 def _check_hidden(config: ExperimentConfig, back_end: BackEnd, hidden: Sequence[object]) -> None:

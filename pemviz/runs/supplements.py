@@ -156,8 +156,8 @@ def _unmeasured_because(experiment: Experiment, result: RunResult) -> str | None
         return f"{SEVERAL_SLOTS}; a run with another --memory-s tells"
     if not experiment.config.measured_memory:
         return "measured_memory is switched off"
-    if memory_of(experiment.pem).hidden:
-        return "not with hidden properties of your own"
+    if hidden := memory_of(experiment.pem).hidden:
+        return f"not with {' and '.join(hidden)}"
     twin = experiment.back_end.scenario_alone.twin
     if twin is None or latent_counts(twin):
         return f"not without a fast twin whose start is fixed; {memory_option(result)} may tell"

@@ -18,6 +18,7 @@ from pemviz.pem.models.predictive_check import (
     check_rows,
     verdict_lines,
 )
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 
 Json = Mapping[str, Any]
 
@@ -126,6 +127,8 @@ class FittedMemory:
         sequences: Independent sequences it rests on.
         observations: Outcomes it rests on.
         rate_hz: Frames a second of the video.
+        varying: The other law, by which the visibility comes and goes; ``None`` where it was not
+            fitted.
     """
 
     memory: Memory
@@ -135,6 +138,7 @@ class FittedMemory:
     sequences: int
     observations: int
     rate_hz: float
+    varying: VaryingFrailty | None = None
 
 
 class Carded:
@@ -166,6 +170,16 @@ class Carded:
         """
         fitted = fitted_memory(self.card.memory, where=self.card.name)
         return None if fitted is None else fitted.memory
+
+    @property
+    def varying_frailty(self) -> VaryingFrailty | None:
+        """How visibility comes and goes, as fitted to video; None without.
+
+        Raises:
+            PemError: As of :attr:`memory`.
+        """
+        fitted = fitted_memory(self.card.memory, where=self.card.name)
+        return None if fitted is None else fitted.varying
 
 
 def memory_of(pem: object) -> Memory | None:
@@ -228,6 +242,21 @@ def _check_fields(values: Json, card: type[Any], *, needed: set[str], where: str
             raise PemError(f"{where}: metadata field {name!r} must be a table")
 
 
+def varying_frailty_of(pem: object) -> VaryingFrailty | None:
+    """How the visibility that a model carries comes and goes; ``None`` if it does not say so.
+
+    A model of one's own carries it as its attribute ``varying_frailty``.
+
+    Raises:
+        PemError: That is neither ``None`` nor a :class:`VaryingFrailty`.
+    """
+    law: object = getattr(pem, "varying_frailty", None)
+    if law is None or isinstance(law, VaryingFrailty):
+        return law
+    name = getattr(pem, "name", type(pem).__name__)
+    raise PemError(f"{name}: its varying_frailty is a {type(law).__name__}")
+
+
 @contextmanager
 def as_pemviz_writes(what: str) -> Generator[None]:
     """For reading tables of a card: what is missing or of another type is said in one line.
@@ -261,7 +290,15 @@ def fitted_memory(card_memory: Json, *, where: str) -> FittedMemory | None:
             sequences=int(_number(fit["sequences"])),
             observations=int(_number(fit["observations"])),
             rate_hz=_number(card_memory["rate_hz"]),
+            varying=_varying(card_memory.get("varying")),
         )
+
+
+def _varying(table: Json | None) -> VaryingFrailty | None:
+    if table is None:
+        return None
+    law: Json = table["law"]
+    return VaryingFrailty(**{each.name: _number(law[each.name]) for each in fields(VaryingFrailty)})
 
 
 def _number(value: object) -> float:

@@ -17,12 +17,14 @@ from pemviz.errors import ConfigError, InputError
 from pemviz.faults import SimulationError
 from pemviz.pem import Pem
 from pemviz.pem.models.memory import Memory
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.state.component import CARRIED, Component, Known
 from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
 from pemviz.sampling.state.last_outcome import LastOutcome
+from pemviz.sampling.state.varying_visibility import VaryingVisibility
 from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.episodic import kept_memory
 from pemviz.simulators.latents import WrappedSimulator, begun, salient_of, stepped
@@ -270,8 +272,12 @@ class ComposedFeatures:
         return replace(self, properties=tuple(one.for_proposals() for one in self.properties))
 
 
-def properties_of_memory(memory: Memory, *, simulator: Simulator) -> tuple[HiddenProperty, ...]:
+def properties_of_memory(
+    memory: Memory | VaryingFrailty, *, simulator: Simulator
+) -> tuple[HiddenProperty, ...]:
     """How misses hang together, as hidden properties; none where they do not."""
+    if isinstance(memory, VaryingFrailty):
+        return (VaryingVisibility(memory, simulator.dt_s),)
     found: list[HiddenProperty] = []
     if memory.tau_s > 0.0:
         found.append(_last_outcome(simulator, memory.tau_s))
@@ -305,8 +311,10 @@ def composed(
     model = with_hidden(pem, properties)
     own = pem if isinstance(model, ChainModel) else None
     simulator = twin = system_of(back_end.simulator, properties, pem=own)
-    if back_end.twin is not back_end.simulator:
-        twin = None if back_end.twin is None else system_of(back_end.twin, properties, pem=own)
+    if back_end.twin is None or property_in(properties, VaryingVisibility) is not None:
+        twin = None  # each chain of outcomes has a state of its own: none can be gone through
+    elif back_end.twin is not back_end.simulator:
+        twin = system_of(back_end.twin, properties, pem=own)
     system = replace(
         back_end,
         simulator=simulator,
