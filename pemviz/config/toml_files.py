@@ -154,7 +154,8 @@ def config_table(config: ExperimentConfig) -> dict[str, Any]:
     Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
     an hour where there are none, without the braking scenario where it is another that is run and
     nothing of it was changed, without a memory that is left out or not assumed, its law where that
-    is of outcomes, without ``measured_memory`` where it is looked at, and without ``keep`` where all is kept.
+    is of outcomes, without ``measured_memory`` where it is looked at, and without ``keep`` where
+    all is kept.
     """
     table = every_setting(config)
     for name in ("position_errors", "carla", "encounters_per_hour", *OWN_MEMORY):

@@ -156,7 +156,8 @@ def _unmeasured_because(experiment: Experiment, result: RunResult) -> str | None
         return f"{SEVERAL_SLOTS}; a run with another --memory-s tells"
     if not experiment.config.measured_memory:
         return "measured_memory is switched off"
-    if hidden := memory_of(experiment.pem).hidden:
+    visibility = experiment.config.memory_law == "visibility"  # beside it those of the other law
+    if (hidden := memory_of(experiment.pem).hidden) and not visibility:
         return f"not with {' and '.join(hidden)}"
     twin = experiment.back_end.scenario_alone.twin
     if twin is None or latent_counts(twin):

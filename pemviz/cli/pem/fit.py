@@ -94,6 +94,9 @@ class FitArguments:
     columns sequence, frame and track; folds are then of sequences. Tells and writes what 'pemviz
     pem memory' does, into OUT-memory.md and .png, and tells and keeps in the card what 'pemviz pem
     check' does of the same folds."""
+    varying_frailty: bool = False
+    """With memory: also fit the other law of misses, as 'pemviz pem memory' does, and keep it in
+    the card, for runs with memory_law visibility."""
     features: str = ""
     """Columns that P(missed) depends on, between commas, such as distance,lux,rain, in place of a
     road user's salient variables; beside them the table needs detected (0 or 1) alone. A column of
@@ -187,7 +190,7 @@ def _fit_with_memory(arguments: FitArguments) -> int:
         kind: score(fit.logit, tracks.detected).bce for kind, fit in fits.items()
     }
     held_out = fits[_chosen(arguments.model, bce)]
-    report = memory_beside(tracks, held_out, seed=arguments.seed)
+    report = memory_beside(tracks, held_out, seed=arguments.seed, varying=arguments.varying_frailty)
     assert held_out.whole is not None  # noqa: S101  asked for above
     with progress_bar("predictive checks") as tell:
         checked = check_held_out(
@@ -238,6 +241,8 @@ def _validate(arguments: FitArguments) -> None:
         raise PemError("features: not with position errors, which depend on distance and bearing")
     if arguments.tails != "auto" and not arguments.position_errors:
         raise PemError("tails: only with position errors")
+    if arguments.varying_frailty and not arguments.memory:
+        raise PemError("varying_frailty: only with memory, beside which it is fitted")
     if arguments.memory and arguments.folds < 2:
         raise PemError(f"folds is {arguments.folds}, allowed with memory: 2 or more")
     if arguments.model == "best" and arguments.folds < 2:

@@ -1,7 +1,7 @@
 """``pemviz pem memory``: how misses follow each other on video, and whether independence holds."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,6 +55,9 @@ class MemoryArguments:
     features: str = ""
     """Columns that P(missed) depends on, between commas, in place of the salient ones; as of
     'pemviz pem fit'."""
+    varying_frailty: bool = False
+    """Also fit the other law of misses, by which not outcomes hang together but the obstacle's
+    visibility, of which a part comes and goes, and say which is likelier; a minute and more."""
     json: bool = False
     """Print the results as one JSON object instead of text."""
 
@@ -78,7 +81,7 @@ def run(arguments: MemoryArguments) -> int:
     held_out = cross_fitted(
         tracks, model=arguments.model, folds=arguments.folds, seed=arguments.seed
     )
-    report = memory_beside(tracks, held_out, seed=arguments.seed)
+    report = memory_beside(tracks, held_out, seed=arguments.seed, varying=arguments.varying_frailty)
     check = judged(tracks, held_out, report)
     if arguments.out is not None:
         write_memory_page(report, check, arguments.out, title=tracks.obstacles.source)
@@ -111,13 +114,25 @@ def cross_fitted(
         )
 
 
-def memory_beside(tracks: TrackTable, held_out: "CrossFitted", *, seed: int) -> MemoryReport:
-    """The memory of misses beside cross-fitted P(missed), with progress."""
+def memory_beside(
+    tracks: TrackTable, held_out: "CrossFitted", *, seed: int, varying: bool = False
+) -> MemoryReport:
+    """The memory of misses beside cross-fitted P(missed), with progress.
+
+    With ``varying`` the law of a time-varying frailty too.
+    """
     # scipy's distributions take seconds to import
+    from pemviz.pem.fitting.varying_frailty import fit_varying_frailty  # noqa: PLC0415
     from pemviz.pem.judging.memory_report import fit_report  # noqa: PLC0415
 
     with progress_bar("memory of misses") as tell:
-        return fit_report(tracks, held_out, seed=seed, on_progress=tell)
+        report = fit_report(tracks, held_out, seed=seed, on_progress=tell)
+    if not varying:
+        return report
+    memory = report.fit.memory
+    with progress_bar("time-varying frailty") as tell:
+        fit = fit_varying_frailty(tracks, held_out.logit, memory=memory, on_progress=tell)
+    return replace(report, varying=fit)
 
 
 def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:

@@ -20,9 +20,10 @@ from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable, TrackTable
 from pemviz.pem.fitting.fit import BOOSTED, ModelKind, fit_pem
 from pemviz.pem.fitting.memory import MemoryFit, check_fittable, fit_memory, memory_surface
+from pemviz.pem.fitting.varying_frailty import VaryingFit
 from pemviz.pem.judging.cross_validation import score
 from pemviz.pem.models import memory as memory_law
-from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes
+from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes, varying_words
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.predictive_check import DISTANCE_BANDS_M, ModelCheck, check_table
@@ -62,11 +63,13 @@ class MemoryReport:
             of them; ``plain_view``, counts of obstacles neither occluded nor truncated; gaps in
             tracks, changes of rate, and the most common rate.
         surface: Log likelihood of each sequence ``[S, taus, frailties]``, which it rests on.
+        varying: The other law, a time-varying frailty, where it was fitted too.
     """
 
     fit: MemoryFit
     tables: dict[str, Any]
     surface: FloatArray = field(compare=False, repr=False)
+    varying: VaryingFit | None = None
 
 
 def fit_report(
@@ -257,20 +260,24 @@ def memory_table(report: MemoryReport, *, flattery: str = FLATTERY_IF) -> dict[s
 
     ``flattery`` says in words what the training of the detector does to these figures.
     """
-    return {"fit": asdict(report.fit), **report.tables, "flattery": flattery}
+    table = {"fit": asdict(report.fit), **report.tables, "flattery": flattery}
+    return table if report.varying is None else {**table, "varying": asdict(report.varying)}
 
 
 def memory_line(report: MemoryReport) -> str:
     """The fitted memory in a line, and one on what its figures are."""
     fit = report.fit
     low, high = fit.tau_interval_s
-    return (
+    told = (
         f"memory time {fit.memory.tau_s:.3f} s ({low:.3f} to {high:.3f}), frailty "
         f"{fit.memory.frailty:.2f}; {fit.nats_independent:.3f} nats an outcome if independent, "
         f"{fit.nats:.3f} with memory\n"
         f"  memory time tau: {memory_law.TAU_MEANS}; frailty: {memory_law.FRAILTY_MEANS}, "
         "0 for not at all"
     )
+    if report.varying is None:
+        return told
+    return f"{told}\nor {varying_words(asdict(report.varying))}"
 
 
 @dataclass(frozen=True)

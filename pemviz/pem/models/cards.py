@@ -26,6 +26,8 @@ KITTI_LICENCE = "CC BY-NC-SA 3.0 (KITTI, on which the model was trained; non-com
 UNKNOWN_LICENCE = "not stated (if trained on KITTI: CC BY-NC-SA 3.0, non-commercial)"
 UNKNOWN_ERRORS_LICENCE = "not stated (if made from nuScenes or KITTI: CC BY-NC-SA, non-commercial)"
 
+CLEAR_ERRORS = 2.0
+"""Standard errors from which on one law is said to be the likelier."""
 SINGLE_OBSTACLES = (
     "Scores are of single obstacles; consecutive misses of one obstacle are not modelled as "
     "dependent."
@@ -294,6 +296,19 @@ def fitted_memory(card_memory: Json, *, where: str) -> FittedMemory | None:
         )
 
 
+def varying_words(varying: Json) -> str:
+    """The fitted law of a time-varying frailty, and which law tells the tracks better."""
+    law, better = varying["law"], _number(varying["better_by"])
+    error = _number(varying["better_by_std_error"])
+    likelier = "likelier" if better > 0.0 else "less likely"
+    decided = "" if abs(better) >= CLEAR_ERRORS * error else ": these tracks do not decide"
+    return (
+        f"visibility that comes and goes: time-varying frailty {law['varying']:.2f} over "
+        f"{law['varying_s']:.2f} s, lasting frailty {law['frailty']:.2f}; {varying['nats']:.3f} "
+        f"nats, {likelier} than copied outcomes by {abs(better):.4f} +- {error:.4f}{decided}"
+    )
+
+
 def _varying(table: Json | None) -> VaryingFrailty | None:
     if table is None:
         return None
@@ -454,6 +469,7 @@ def _memory_facts(memory: Json) -> list[str]:
         f"{frailty}; {fit['confidence']:.0%} intervals, {fit['sequences']} "
         f"sequences taken as independent, {fit['observations']} observations at "
         f"{memory['rate_hz']:g} Hz, P(missed | state) cross-fitted by sequence.",
+        *([f"- Or {varying_words(memory['varying'])}."] if "varying" in memory else []),
         f"- Memory time tau: {TAU_MEANS}. Frailty f: {FRAILTY_MEANS} (0: not at all). A burst: "
         "misses in one frame after the other.",
         f"- Negative log-likelihood of an outcome: {fit['nats_independent']:.3f} nats if misses "

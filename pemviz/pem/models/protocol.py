@@ -88,6 +88,11 @@ class OwnPem:
         """How its misses hang together, if it says so; see ``pemviz.pem.memory_of``."""
         return getattr(self.detector, "memory", None)
 
+    @property
+    def varying_frailty(self) -> object:
+        """How its visibility comes and goes; see ``pemviz.pem.models.cards.varying_frailty_of``."""
+        return getattr(self.detector, "varying_frailty", None)
+
 
 def as_pem(detector: DetectorModel) -> Pem:
     """``detector`` itself if it says all that a perception error model says, else wrapped.

@@ -19,7 +19,7 @@ are such that f u + g w takes few values, at which alone the normal distribution
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,20 +28,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import log_ndtr
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.chunks import FEWEST, distinct_rows
+from pemviz.chunks import distinct_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.memory import miss_quantile
 
-LARGEST = 5.0
+SMALLEST, LARGEST = 0.02, 5.0
 SHORTEST_S, LONGEST_S = 0.01, 10.0
-FARTHEST_NODE = 9.0
-"""Nodes lie within +-9 standard deviations: beyond, a normal has 2e-19 of its probability."""
-LASTING_SPACING, VARYING_SPACING = 0.25, 0.6
-"""Distances of the nodes for frailties up to 1; above, these over the frailty. Outcomes make what
-lasts ever better known, so that its nodes are closer."""
 LEAST = 1e-150
 """Shares below this are taken for none: arithmetic with denormal numbers is slow, and it would take
 outcomes whose probabilities differ by that much to bring such a pair of nodes back."""
+CHUNK_ROWS = 64
 ROWS = 16
 """Rollouts whose w is moved on at once: a matrix product may round otherwise in another shape."""
 
@@ -64,8 +60,9 @@ class VaryingFrailty:
     varying_s: float
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.frailty <= LARGEST:
-            raise PemError(f"frailty is {self.frailty:g}, allowed: 0 to {LARGEST:g}")
+        if self.frailty != 0.0 and not SMALLEST <= self.frailty <= LARGEST:
+            allowed = f"0, or {SMALLEST:g} to {LARGEST:g}"
+            raise PemError(f"frailty is {self.frailty:g}, allowed: {allowed}")
         if not 0.0 < self.varying <= LARGEST:
             raise PemError(f"varying_frailty is {self.varying:g}, allowed: above 0, to {LARGEST:g}")
         if not SHORTEST_S <= self.varying_s <= LONGEST_S:
@@ -84,11 +81,29 @@ class VaryingFrailty:
 
 
 @dataclass(frozen=True)
+class NodeGrid:
+    """How fine the grid is.
+
+    Attributes:
+        farthest: Nodes lie within so many standard deviations; beyond 9, a normal has 2e-19 of its
+            probability.
+        of_lasting: Largest distance of the nodes of u for frailties up to 1; above, this over the
+            frailty. Outcomes make what lasts ever better known, so that its nodes are closer.
+        of_varying: Likewise of w.
+    """
+
+    farthest: float = 9.0
+    of_lasting: float = 0.25
+    of_varying: float = 0.7
+
+
+@dataclass(frozen=True)
 class VaryingNodes:
-    """Grid of u and w, for frames at least ``step_s`` apart [s]."""
+    """Nodes of u and w, for frames at least ``step_s`` apart [s]."""
 
     law: VaryingFrailty
     step_s: float
+    grid: NodeGrid = NodeGrid()
 
     @cached_property
     def _distances(self) -> tuple[float, int, float, int]:
@@ -96,10 +111,10 @@ class VaryingNodes:
         f, g = self.law.frailty, self.law.varying
         # w moves by a normal of this spread, which the nodes have to resolve
         moves = math.sqrt(-math.expm1(-2.0 * self.step_s / self.law.varying_s))
-        of_w = min(VARYING_SPACING / max(1.0, g), moves)
+        of_w = min(self.grid.of_varying / max(1.0, g), moves)
         if f == 0.0:
             return 1.0, 1, of_w, 1
-        most = LASTING_SPACING / max(1.0, f)
+        most = self.grid.of_lasting / max(1.0, f)
         if f * most >= g * of_w:
             times = math.floor(f * most / (g * of_w))
             return times * g * of_w / f, times, of_w, 1
@@ -110,12 +125,16 @@ class VaryingNodes:
     def u(self) -> FloatArray:
         """Nodes of what lasts ``[U]``; 0 alone without."""
         distance, *_ = self._distances
-        return _nodes(distance) if self.law.frailty else np.zeros(1)
+        return self._nodes(distance) if self.law.frailty else np.zeros(1)
 
     @cached_property
     def w(self) -> FloatArray:
         """Nodes of what comes and goes ``[W]``."""
-        return _nodes(self._distances[2])
+        return self._nodes(self._distances[2])
+
+    def _nodes(self, distance: float) -> FloatArray:
+        half = math.ceil(self.grid.farthest / distance)
+        return np.arange(-half, half + 1) * distance
 
     @cached_property
     def levels(self) -> FloatArray:
@@ -159,36 +178,42 @@ class VaryingNodes:
     def log_outcomes(self, own: FloatArray, missed: BoolArray) -> FloatArray:
         """Log probability of outcomes ``[N]`` by level, ``[N, L]``.
 
-        From the logits of P(detected) of the model of single outcomes ``[N]``.
+        From the logits of P(detected) of the model of single outcomes ``[N]``. Rollouts meet few
+        states, since equal outcomes lead to equal ones: those are evaluated once.
         """
         sign = np.where(missed, 1.0, -1.0)
-        return map_pairs(self._log_outcomes, own, sign)
+        same = distinct_rows(np.stack([own, sign], axis=1)) if own.size >= ROWS else None
+        if same is None:
+            return self._log_outcomes(own, sign)
+        first, place = same
+        return self._log_outcomes(own[first], sign[first])[place]
 
     def _log_outcomes(self, own: FloatArray, sign: FloatArray) -> FloatArray:
         middle = miss_quantile(own) * self.law.scale
         return log_ndtr(sign[:, None] * (middle[:, None] + self.levels))
 
-    def logit_and_mean(self, shares: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def logit_and_mean(
+        self, shares: FloatArray, log_hit: FloatArray, log_miss: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Logit of P(detected | outcomes so far), and the mean visibility, ``[N]`` each.
 
         The latter is that of (f u + g w) / sqrt(f^2 + g^2); the larger, the harder to see. From the
-        shares of the nodes ``[N, U, W]`` before the outcome, and the logits ``[N]`` as above.
+        shares of the nodes ``[N, U, W]`` before the outcome, and what :meth:`log_outcomes` gives
+        either.
         """
-        at, every = self.by_level(shares), np.ones(own.shape, dtype=np.bool_)
-        logit = _log_sums(self.log_outcomes(own, ~every), at)
-        logit -= _log_sums(self.log_outcomes(own, every), at)
+        at = self.by_level(shares)
         spread = math.hypot(self.law.frailty, self.law.varying)
-        return logit, (at * (self.levels / spread)).sum(axis=1)
+        mean = (at * (self.levels / spread)).sum(axis=1)
+        return _log_sums(log_hit, at) - _log_sums(log_miss, at), mean
 
-    def after(
-        self, shares: FloatArray, own: FloatArray, missed: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Shares of the nodes ``[N, U, W]`` after outcomes ``[N]``, at the same moment.
+    def after(self, shares: FloatArray, log_p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Shares of the nodes ``[N, U, W]`` after outcomes, at the same moment.
+
+        From what :meth:`log_outcomes` gives these, ``[N, L]``.
 
         Returns:
             These, and the log probabilities of the outcomes ``[N]``.
         """
-        log_p = self.log_outcomes(own, missed)
         largest = log_p.max(axis=1)
         shares = shares * self.by_node(np.exp(log_p - largest[:, None]))
         total = shares.sum(axis=(1, 2))
@@ -212,8 +237,7 @@ class VaryingNodes:
         """Log likelihood of chains of outcomes ``[N, T]``, ``step_s`` apart, from their logits."""
         moves = self.moved_on(self.step_s)
         log_p = np.empty(len(detected))
-        for start in range(0, len(detected), 16 * ROWS):  # what they need stays in the cache
-            rows = slice(start, start + 16 * ROWS)
+        for rows in chunks(len(detected)):
             log_p[rows] = self._log_likelihood(own[rows], detected[rows], moves)
         return log_p
 
@@ -223,9 +247,15 @@ class VaryingNodes:
         shares, log_p = self.begun(len(detected)), np.zeros(len(detected))
         for step in range(detected.shape[1]):
             shares = self.later(shares, moves) if step else shares
-            shares, told = self.after(shares, own[:, step], ~detected[:, step])
+            log_outcomes = self.log_outcomes(own[:, step], ~detected[:, step])
+            shares, told = self.after(shares, log_outcomes)
             log_p += told
         return log_p
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """So many rollouts, some at a time: what they need stays in a core's cache."""
+    return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))
 
 
 def sampled_misses(
@@ -251,11 +281,6 @@ def sampled_misses(
     return missed
 
 
-def _nodes(distance: float) -> FloatArray:
-    half = math.ceil(FARTHEST_NODE / distance)
-    return np.arange(-half, half + 1) * distance
-
-
 def _weights(nodes: FloatArray) -> FloatArray:
     weight = np.exp(-0.5 * nodes**2)
     return weight / weight.sum()
@@ -265,14 +290,3 @@ def _log_sums(log_values: FloatArray, shares: FloatArray) -> FloatArray:
     """Log of the means of exp of ``log_values [N, L]``, each counting by its share."""
     largest = log_values.max(axis=1)
     return np.log((np.exp(log_values - largest[:, None]) * shares).sum(axis=1)) + largest
-
-
-def map_pairs(
-    function: Callable[[FloatArray, FloatArray], FloatArray], first: FloatArray, other: FloatArray
-) -> FloatArray:
-    """Rows ``[N, L]`` of pairs of numbers ``[N]``, each distinct pair evaluated once."""
-    same = distinct_rows(np.stack([first, other], axis=1)) if first.size >= FEWEST else None
-    if same is None:
-        return function(first, other)
-    one, place = same
-    return function(first[one], other[one])[place]

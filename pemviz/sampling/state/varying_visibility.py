@@ -4,7 +4,7 @@
 of u and w is after the outcomes so far; P(detected | outcomes so far) is a function of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.pem.models.varying_frailty import VaryingFrailty, VaryingNodes
+from pemviz.pem.models.varying_frailty import VaryingFrailty, VaryingNodes, chunks
 from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.state.component import CARRIED, Known, ModelLogit
 from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
@@ -63,15 +63,25 @@ class VaryingVisibility(HiddenProperty):
     def begin(self, states: StateBatch, model: ModelLogit) -> Known:
         """Before any outcome u and w are standard normals."""
         own = model(states)
-        return self._known(own, self.nodes.begun(own.size))
+        return self._known(own, lambda rows: self.nodes.begun(own[rows].size))
 
     def next(
         self, before: StateBatch, detected: BoolArray, states: StateBatch, model: ModelLogit
     ) -> Known:
         """The shares after outcomes ``[N]``, moved on to the next frame."""
         then = before.memory[BEFORE]
-        after, _ = self.nodes.after(then["shares"], then["own"], ~detected)
-        return self._known(model(states), self.nodes.later(after, self._moves))
+        return self._known(model(states), self._moved_on(then["shares"], then["own"], detected))
+
+    def _moved_on(
+        self, shares: FloatArray, own: FloatArray, detected: BoolArray
+    ) -> Callable[[slice], FloatArray]:
+        log_outcomes = self.nodes.log_outcomes(own, ~detected)
+
+        def of(rows: slice) -> FloatArray:
+            after, _ = self.nodes.after(shares[rows], log_outcomes[rows])
+            return self.nodes.later(after, self._moves)
+
+        return of
 
     def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:  # noqa: ARG002  it is in it
         """The states say it."""
@@ -97,26 +107,34 @@ class VaryingVisibility(HiddenProperty):
         self, rollouts: RolloutBatch, *, step: IntArray, model: ModelLogit
     ) -> Mapping[str, AnyArray]:
         """The shares and the logit at states of rollouts that led there, ``[N]``."""
-        shares = self.nodes.begun(rollouts.count)
+        record = self._record(rollouts.count)
+        shares = record["shares"]
+        shares[:] = self.nodes.prior
         for moment in range(int(step[-1])):
-            later = slice(int(np.searchsorted(step, moment, side="right")), None)
-            missed = ~rollouts.detected[later, moment]
-            own = _own_at(rollouts, later, moment, model)
-            after, _ = self.nodes.after(shares[later], own, missed)
-            shares[later] = self.nodes.later(after, self._moves)
-        own = _own_at(rollouts, np.arange(rollouts.count), step, model)
-        return {BEFORE: self._record(own, shares)}
+            later = int(np.searchsorted(step, moment, side="right"))
+            own = _own_at(rollouts, slice(later, None), moment, model)
+            going = shares[later:]
+            moved_on = self._moved_on(going, own, rollouts.detected[later:, moment])
+            for rows in chunks(len(going)):
+                going[rows] = moved_on(rows)
+        record["own"] = _own_at(rollouts, np.arange(rollouts.count), step, model)
+        return {BEFORE: record}
 
-    def _known(self, own: FloatArray, shares: FloatArray) -> Known:
-        logit, mean = self.nodes.logit_and_mean(shares, own)
-        signals = {VISIBILITY.name: mean, SEEN_LOGIT.name: logit}
-        return Known(signals, {BEFORE: self._record(own, shares)})
+    def _known(self, own: FloatArray, shares: Callable[[slice], FloatArray]) -> Known:
+        """What is known where the model of single outcomes says ``own [N]``."""
+        nodes, every = self.nodes, np.ones(own.shape, dtype=np.bool_)
+        hit, miss = nodes.log_outcomes(own, ~every), nodes.log_outcomes(own, every)
+        record, mean, logit = self._record(own.size), np.empty(own.size), np.empty(own.size)
+        record["own"] = own
+        for rows in chunks(own.size):
+            part = shares(rows)
+            record["shares"][rows] = part
+            logit[rows], mean[rows] = nodes.logit_and_mean(part, hit[rows], miss[rows])
+        return Known({VISIBILITY.name: mean, SEEN_LOGIT.name: logit}, {BEFORE: record})
 
-    def _record(self, own: FloatArray, shares: FloatArray) -> AnyArray:
-        parts = [("shares", np.float64, shares.shape[1:]), ("own", np.float64)]
-        record = np.empty(own.size, dtype=np.dtype(parts))
-        record["shares"], record["own"] = shares, own
-        return record
+    def _record(self, count: int) -> AnyArray:
+        parts = [("shares", np.float64, self.nodes.prior.shape), ("own", np.float64)]
+        return np.empty(count, dtype=np.dtype(parts))
 
 
 def _own_at(
