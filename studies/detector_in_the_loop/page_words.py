@@ -3,7 +3,7 @@
 import math
 
 from studies.detector_in_the_loop.predictions import Answer
-from studies.detector_in_the_loop.study import DRIFTING, HIDDEN, Truth
+from studies.detector_in_the_loop.study import HIDDEN, VISIBILITY, Truth
 from studies.logical_scenarios.answers import Answer as Known
 from studies.logical_scenarios.answers import Factor, factor, short
 
@@ -12,7 +12,7 @@ VARIANT_TITLES = {
     "memory": "memory",
     "frailty": "frailty",
     "both": "both",
-    DRIFTING: "drifting visibility (not in pemviz)",
+    VISIBILITY: "visibility that comes and goes",
     HIDDEN: "both, light and weather known",
 }
 WITHIN = 2.0

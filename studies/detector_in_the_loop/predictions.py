@@ -69,6 +69,11 @@ class Variant:
     refuted: int
     unseen: tuple[str, ...]
 
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Of ``record``."""
+        return "--memory-s", f"{self.tau_s:g}", "--frailty", f"{self.frailty:g}"
+
 
 @dataclass(frozen=True)
 class Fitted:
@@ -77,10 +82,13 @@ class Fitted:
     Attributes:
         path: The model.
         variants: By :data:`VARIANTS`.
+        law: Of a visibility that comes and goes, by the names of ``record``'s options; ``None``
+            where it was not fitted.
     """
 
     path: Path
     variants: dict[str, Variant]
+    law: Mapping[str, float] | None = None
 
 
 def subset(folder: Path, out: Path, names: Sequence[str]) -> None:
@@ -139,11 +147,18 @@ def sequences_for(frames: int) -> int:
 
 
 def fitted(
-    train: Path, other: Path, folder: Path, *, threshold: float, fine: bool = False
+    train: Path,
+    other: Path,
+    folder: Path,
+    *,
+    threshold: float,
+    fine: bool = False,
+    varying: bool = True,
 ) -> Fitted:
     """Collect, fit with memory, and check on other sequences; what is there is kept.
 
-    With ``fine`` the tables are as they come: see :func:`coarsened`.
+    With ``fine`` the tables are as they come: see :func:`coarsened`. Without ``varying`` the law of
+    a visibility that comes and goes is left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / "fitted.json"
@@ -154,7 +169,8 @@ def fitted(
             coarsened(table)
             coarsened(unseen)
         model = folder / "model.safetensors"
-        pemviz(["pem", "fit", "--table", table, "--model", KIND, "--memory", "--out", model])
+        laws = ["--memory", *(["--varying-frailty"] if varying else [])]
+        pemviz(["pem", "fit", "--table", table, "--model", KIND, *laws, "--out", model])
         told = pemviz(["pem", "check", "--table", unseen, "--pem", model, "--json"])
         write_text(kept, told)
     card = json.loads((folder / "model.json").read_text(encoding="utf-8"))
@@ -175,18 +191,19 @@ def fitted(
     both, memory = variants.get("both"), card["memory"]["fit"]["memory"]
     if both is not None:
         variants["both"] = replace(both, tau_s=memory["tau_s"], frailty=memory["frailty"])
-    return Fitted(folder / "model.safetensors", variants)
+    law = card["memory"].get("varying", {}).get("law")
+    return Fitted(folder / "model.safetensors", variants, law)
 
 
 def recorded(
-    setting: Setting, model: Path, *, tau_s: float, frailty: float, out: Path, seed: int = 1
+    setting: Setting, model: Path, *, memory: Sequence[object], out: Path, seed: int = 1
 ) -> dict[str, Any]:
-    """What ``record`` answers with a memory time and a frailty; what is there is kept."""
+    """What ``record`` answers with options of how misses hang together; what is there is kept."""
     if not out.exists():
         told = pemviz(
             [
                 *("record", *setting.world.options, "--pem", model),
-                *("--memory-s", f"{tau_s:g}", "--frailty", f"{frailty:g}"),
+                *memory,
                 *("--no-measured-memory", "--seed", seed, "--json"),
                 *("--out", out.parent / "runs"),
             ],

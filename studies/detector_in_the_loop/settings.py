@@ -64,6 +64,7 @@ class Effort:
         frames: Labelled, a prediction for each.
         share: Of the rollouts of each setting.
         scenes: To see why predictions are off.
+        splitting_runs: Of each setting that splitting answers.
     """
 
     pictures: int = 24_000
@@ -72,12 +73,14 @@ class Effort:
     frames: tuple[int, ...] = (1_000, 10_000, 100_000)
     share: float = 1.0
     scenes: int = 3_000
+    splitting_runs: int = SPLITTING_RUNS
 
 
 WHOLE = Effort()
 QUICK = replace(
-    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(2_000,), share=0.02, scenes=300
-)
+    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(2_000,), share=0.01, scenes=100,
+    splitting_runs=2,
+)  # fmt: skip
 
 
 FAR = BrakingWorld(initial_gap_m=70.0, emergency_gap_m=60.0, speed_kmh=108.0)
@@ -86,6 +89,12 @@ MIDDLE = BrakingWorld(
     initial_gap_m=45.0, emergency_gap_m=35.0, speed_kmh=72.0, lead_deceleration_mps2=5.0
 )
 """72 km/h: likewise 35 to 23 m away."""
+
+FAST = BrakingWorld(initial_gap_m=60.0, emergency_gap_m=50.0, speed_kmh=97.2)
+SLOW = BrakingWorld(
+    initial_gap_m=38.0, emergency_gap_m=28.0, speed_kmh=57.6, lead_deceleration_mps2=5.0
+)
+"""Speeds and distances that were stated before any prediction of them was looked at."""
 
 SETTINGS = (
     Setting("far-fair", FAR, "fair", 1.2),
@@ -103,5 +112,7 @@ SETTINGS = (
         particles=20_000,
     ),
     Setting("cut-in-fair", CutInWorld(), "fair", 1.2),
+    Setting("fast-all", FAST, "all", 0.6),
+    Setting("slow-all", SLOW, "all", 0.6),
 )
 """All that is asked."""

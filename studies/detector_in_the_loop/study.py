@@ -11,14 +11,10 @@ import numpy as np
 
 from pemviz.files.atomic import write_text
 from pemviz.pem import load_pem
-from pemviz.pem.data.table import load_tracks
-from pemviz.pem.judging.memory_report import cross_fit
 from studies.detector_in_the_loop.detector import Detector, load_detector, save_network
-from studies.detector_in_the_loop.drifting import Drifting, failures, fit_drifting
 from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
-    KIND,
     VARIANTS,
     Answer,
     Fitted,
@@ -43,16 +39,14 @@ from studies.detector_in_the_loop.settings import (
 )
 from studies.detector_in_the_loop.splitting import of_runs, split_run
 from studies.detector_in_the_loop.training import draw_pictures, quality_of, train
-from studies.detector_in_the_loop.truth import Count, counted, exact_interval
+from studies.detector_in_the_loop.truth import Count, counted
 from studies.detector_in_the_loop.why import Explained, OwnMemory, explained
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
 LOG = logging.getLogger(__name__)
 Tell = Callable[[str], None]
-DRIFTING = "drifting"
-"""The variant with the drifting memory of :mod:`.drifting`."""
-DRAWN = 100_000
-"""Plain rollouts of it."""
+VISIBILITY = "visibility"
+"""The variant with a visibility that comes and goes."""
 HIDDEN = "hidden"
 """The variant that knows light and weather: a model for each, with both memory and frailty."""
 FEWEST_OF_A_KIND = 5
@@ -205,8 +199,7 @@ def predicted(
         told = recorded(
             setting,
             model.path,
-            tau_s=variant.tau_s,
-            frailty=variant.frailty,
+            memory=variant.options,
             out=answers / f"{frames}_{name}.json",
         )
         answer = Answer.of(told)
@@ -226,31 +219,19 @@ def predicted(
     return rows
 
 
-def predicted_drifting(
+def predicted_by_visibility(
     folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
 ) -> list[Row]:
-    """What is predicted with a visibility that drifts in place of copied outcomes."""
-    model, *_, own, _ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
-    kept, out = (
-        own / "drifting.json",
-        folder / "answers" / setting.name / f"{frames}_{DRIFTING}.json",
-    )
-    if not kept.exists():
-        tracks = load_tracks(own / "train.csv", rate_hz=None, needs_state=True)
-        held_out = cross_fit(tracks, model=KIND, folds=5, seed=0, workers=1)
-        write_text(kept, json.dumps(asdict(fit_drifting(tracks, held_out.logit))))
-    visibility = Drifting(**json.loads(kept.read_text(encoding="utf-8")))
-    if not out.exists():
-        pem, place = load_pem(str(model.path)), tuple(setting.name.encode())
-        failed = failures(
-            setting.world, pem, visibility, rollouts=DRAWN, seeds=seeds(WHY, *place, frames)
-        )
-        write_text(out, json.dumps({"failed": failed, "rollouts": DRAWN}))
-    told = json.loads(out.read_text(encoding="utf-8"))
-    low, high = exact_interval(told["failed"], told["rollouts"])
-    answer = Answer(told["failed"] / told["rollouts"], low, high, ())
-    tell(f"{setting.name}, {frames} frames, {DRIFTING}: {answer.probability:.2e}")
-    return [Row(setting.name, frames, DRIFTING, answer, visibility.tau_s, None, None, ())]
+    """What is predicted with a visibility that comes and goes in place of copied outcomes."""
+    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+    if model.law is None or setting.world.cars > 1:  # of one obstacle alone
+        return []
+    out = folder / "answers" / setting.name / f"{frames}_{VISIBILITY}.json"
+    told = recorded(setting, model.path, memory=("--memory-law", "visibility"), out=out)
+    answer, law = Answer.of(told), model.law
+    tell(f"{setting.name}, {frames} frames, {VISIBILITY} {law}: {answer.probability:.2e}")
+    tau_s, frailty = law["varying_s"], law["frailty"]
+    return [Row(setting.name, frames, VISIBILITY, answer, tau_s, frailty, None, ())]
 
 
 def predicted_by_kind(
@@ -276,10 +257,12 @@ def predicted_by_kind(
                 subset(data, where / "train", mine)
                 subset(data.parent / "other", where / "other", theirs)
             threshold = setting.threshold(detector.threshold)
-            model = fitted(where / "train", where / "other", where, threshold=threshold)
+            model = fitted(
+                where / "train", where / "other", where, threshold=threshold, varying=False
+            )
         both = model.variants[possible(setting)[-1]]
         out = answers / f"{frames}_{HIDDEN}-{place}.json"
-        told = recorded(setting, model.path, tau_s=both.tau_s, frailty=both.frailty, out=out)
+        told = recorded(setting, model.path, memory=both.options, out=out)
         parts.append((len(mine) / len(names), Answer.of(told)))
     answer = mixed(parts)
     tell(f"{setting.name}, {frames} frames, {HIDDEN}: {answer.probability:.2e}")
@@ -295,7 +278,13 @@ def _kinds(data: Path, names: Sequence[str]) -> dict[str, str]:
 
 
 def the_truth(
-    folder: Path, setting: Setting, detector: Detector, *, share: float, tell: Tell
+    folder: Path,
+    setting: Setting,
+    detector: Detector,
+    *,
+    share: float,
+    tell: Tell,
+    splitting_runs: int = SPLITTING_RUNS,
 ) -> Truth:
     """Plain rollouts, and splitting where these show too little."""
     wanted = max(500, int(setting.rollouts * share))
@@ -311,7 +300,7 @@ def the_truth(
     path = folder / "truth" / f"{setting.name}-splitting.json"
     runs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     particles = max(300, int(setting.particles * min(1.0, 5.0 * share)))
-    for run in range(len(runs), SPLITTING_RUNS):
+    for run in range(len(runs), splitting_runs):
         levels_m = np.array(setting.levels_m)
         loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
         made = split_run(setting, loop, levels_m=levels_m, count=particles, run=run)
@@ -336,7 +325,7 @@ def predictions(
             rows += predicted(folder, setting, detector, frames=frames, tell=tell, fine=fine)
     for frames in () if fine else effort.frames:
         for setting in chosen:
-            rows += predicted_drifting(folder, setting, detector, frames=frames, tell=tell)
+            rows += predicted_by_visibility(folder, setting, detector, frames=frames, tell=tell)
     for setting in () if fine else chosen:
         rows += predicted_by_kind(folder, setting, detector, frames=effort.frames[-1], tell=tell)
     return rows
@@ -346,7 +335,14 @@ def truths(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) ->
     """The truth of each setting named."""
     detector = the_detector(folder, effort, tell)
     return {
-        setting.name: the_truth(folder, setting, detector, share=effort.share, tell=tell)
+        setting.name: the_truth(
+            folder,
+            setting,
+            detector,
+            share=effort.share,
+            tell=tell,
+            splitting_runs=effort.splitting_runs,
+        )
         for setting in SETTINGS
         if setting.name in names
     }

@@ -1,25 +1,16 @@
 """Why a prediction is off: likelihoods of the decisive window, and intervals of the page."""
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 import pytest
-from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from pemviz.config import ScenarioConfig
-from pemviz.pem.data.table import SalientTable, TrackTable
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
-from studies.detector_in_the_loop.drifting import (
-    Drifting,
-    both_below,
-    failures,
-    fit_drifting,
-)
 from studies.detector_in_the_loop.page_words import holds, ratio_of, ratio_words
 from studies.detector_in_the_loop.predictions import Answer, coarsened, mixed
 from studies.detector_in_the_loop.settings import FAR
@@ -104,71 +95,6 @@ def test_copied_outcomes_are_late():
     every = np.array(list(product([False, True], repeat=4)))
     chance = np.exp(log_likelihood(every, SHARES, tau_s=0.15, frailty=0.0))
     np.testing.assert_allclose(lagged(SHARES, tau_s=0.15), chance @ every, rtol=1e-12)
-
-
-def test_two_normals_are_both_below():
-    random = np.random.default_rng(1)
-    first, second = random.normal(0, 1.5, (2, 12))
-    correlation = np.array([0.0, 0.3, 0.8, 0.97])
-    found = both_below(first, second, correlation)
-    for place, r in enumerate(correlation):
-        law = stats.multivariate_normal(cov=[[1.0, r], [r, 1.0]])
-        wanted = [law.cdf(pair) for pair in zip(first, second, strict=True)]
-        np.testing.assert_allclose(found[place], wanted, atol=2e-5)
-
-
-def drawn_tracks(visibility, tracks, frames, random):
-    """Outcomes of tracks whose P(missed) varies from frame to frame, and its logits."""
-    quantile = random.normal(0.0, 1.0, (tracks, frames))
-    f, g, rho = visibility.frailty, visibility.drift, np.exp(-0.1 / visibility.tau_s)
-    slow = np.empty((tracks, frames))
-    slow[:, 0] = random.standard_normal(tracks)
-    for frame in range(1, frames):
-        new = random.standard_normal(tracks)
-        slow[:, frame] = rho * slow[:, frame - 1] + np.sqrt(1 - rho**2) * new
-    latent = f * random.standard_normal((tracks, 1)) + g * slow
-    latent = (latent + random.standard_normal((tracks, frames))) / np.sqrt(1 + f**2 + g**2)
-    salient = np.zeros((tracks * frames, 11))
-    obstacles = SalientTable(salient, (latent >= quantile).ravel(), source="drawn")
-    number, frame = np.repeat(np.arange(tracks), frames), np.tile(np.arange(frames), tracks)
-    table = TrackTable(obstacles, number, number * 0, frame, np.full(number.size, 10.0))
-    return table, (np.log(ndtr(-quantile)) - np.log(ndtr(quantile))).ravel()
-
-
-def test_a_drifting_visibility_is_found_again():
-    """Of 600 tracks correlations of latents are known to about 0.03; the bound is 0.1."""
-    visibility = Drifting(1.0, 1.5, 0.5)
-    tracks, logit = drawn_tracks(visibility, 600, 60, np.random.default_rng(4))
-    found, lag_s = fit_drifting(tracks, logit), np.array([0.1, 0.3, 1.0, 3.0])
-    np.testing.assert_allclose(found.correlation(lag_s), visibility.correlation(lag_s), atol=0.1)
-
-
-@dataclass(frozen=True)
-class Even:
-    """Misses with one probability everywhere."""
-
-    p: float
-
-    def logit(self, salient):
-        return np.full(salient.shape[:-1], np.log((1 - self.p) / self.p))
-
-
-def test_with_nothing_hidden_rollouts_are_independent():
-    """False alarm 6e-5: four standard errors of both counts."""
-    count, random = 40_000, np.random.default_rng(6)
-    failed = failures(
-        FAR, Even(0.75), Drifting(0.0, 0.0, 1.0), rollouts=count, seeds=np.random.SeedSequence(5)
-    )
-    states, plain = FAR.begin(np.zeros((count, 0))), np.zeros(count, dtype=bool)
-    for _ in range(FAR.simulator.states - 1):
-        states = FAR.step(states, random.random((count, 1)) >= 0.75)
-        plain |= FAR.failed(states.signals)
-    assert plain.sum() > 30
-    assert abs(failed - plain.sum()) < 4.0 * np.sqrt(failed + plain.sum())
-    hidden = failures(
-        FAR, Even(0.75), Drifting(3.0, 0.0, 1.0), rollouts=2000, seeds=np.random.SeedSequence(5)
-    )
-    assert hidden / 2000 > 3.0 * plain.mean()
 
 
 def test_a_coarsened_table_has_the_scenarios_car_in_it(tmp_path):
