@@ -166,12 +166,9 @@ class ProcessPool:
 
     def close(self) -> None:
         """End all processes at once, whatever they are at."""
-        # first, as it would take what it does not know of for a death
-        self._executor.shutdown(wait=False, cancel_futures=True)
         for process in self._processes:
             process.kill()
-        for process in self._processes:
-            process.join()
+        self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _called(call: bytes) -> Any:

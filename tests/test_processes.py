@@ -126,22 +126,6 @@ def test_a_process_that_dies_while_another_is_started_is_said_as_at_any_other_ti
             pool.submit(slowest_first, 1).result()
 
 
-def test_a_pool_that_is_closed_is_silent_about_what_was_called_back(monkeypatch):
-    """What the executor's thread raises is an error here."""
-    with ProcessPool(1) as pool:
-        calls = [pool.submit(time.sleep, 600) for _ in range(5)]
-        while not calls[0].running():
-            time.sleep(0.01)
-        assert [call.cancel() for call in calls[-2:]] == [True, True]
-        monkeypatch.setattr(SpawnProcess, "kill", killed_for_a_while)
-    assert isinstance(calls[0].exception(), BrokenExecutor)
-
-
-def killed_for_a_while(process, kill=SpawnProcess.kill):
-    kill(process)
-    time.sleep(0.2)  # so that its end is seen before anything else comes
-
-
 PARENT = """
 import time
 from pemviz.processes import ProcessPool
