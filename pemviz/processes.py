@@ -117,6 +117,7 @@ class ProcessPool:
         If this process dies, the folder ``scratch`` is removed.
         """
         self._processes: list[BaseProcess] = []
+        self._count = count
         self._new_executor = partial(
             ProcessPoolExecutor,
             count,
@@ -156,7 +157,12 @@ class ProcessPool:
             except (OSError, RuntimeError):  # so it is if one dies while another is started
                 self._executor.submit(int)  # of a broken pool this says so
                 raise
-        self._processes += set(multiprocessing.active_children()) - before
+        added = set(multiprocessing.active_children()) - before
+        self._processes += added
+        if added and len(self._processes) == self._count:
+            # the executor looks for deaths among processes that were there when it was last called
+            with contextlib.suppress(OSError, RuntimeError):  # of a broken pool the future tells
+                self._executor.submit(int)
         return future
 
     def renew(self) -> None:

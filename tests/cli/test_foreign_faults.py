@@ -122,6 +122,7 @@ def test_whatever_a_simulator_raises_is_a_failed_run(name, workers, fault, tmp_p
     (folder,) = (tmp_path / "runs").iterdir()
     check_reported(shown, folder, FAULTS[name])
     document = json.loads(shown.out)
+    assert document.pop("gate")["exit_code"] == 3
     assert document["status"] == "failed"
     assert FAULTS[name] in document["message"]
     assert comparable(document) == comparable_result(folder)

@@ -4,8 +4,8 @@ Copied outcomes (:mod:`pemviz.pem.models.memory`) are late where P(missed) chang
 time: copies of misses outlive it. A detector that looks at each image anew has no such inertia; its
 misses hang together since what makes the obstacle hard to see does. One latent normal each frame,
 with u standard normal for as long as the obstacle is there, w a stationary Ornstein-Uhlenbeck
-process of unit variance with time tau, and e white (a frailty that varies: Yau & McGilchrist 1998,
-Statistics in Medicine 17:1201; as a probit: Chib & Greenberg 1998, Biometrika 85:347)::
+process of unit variance with time tau, and e white (a frailty that varies with time; as a probit of
+correlated normals: Chib & Greenberg 1998, Biometrika 85:347)::
 
     missed at t   if   e_t < Phi^-1(p_t) sqrt(1 + f^2 + g^2) + f u + g w_t
 
@@ -134,14 +134,14 @@ class VaryingNodes:
 
     def _nodes(self, distance: float) -> FloatArray:
         half = math.ceil(self.grid.farthest / distance)
-        return np.arange(-half, half + 1) * distance
+        return np.arange(-half, half + 1, dtype=np.float64) * distance
 
     @cached_property
     def levels(self) -> FloatArray:
         """Values of f u + g w ``[L]``: of the i-th u and the k-th w that at i a + k b."""
         _, of_u, distance, of_w = self._distances
         half = (of_u * (self.u.size - 1) + of_w * (self.w.size - 1)) // 2
-        return np.arange(-half, half + 1) * (self.law.varying * distance / of_w)
+        return np.arange(-half, half + 1, dtype=np.float64) * (self.law.varying * distance / of_w)
 
     def by_node(self, values: FloatArray) -> FloatArray:
         """Values of levels ``[N, L]`` as a view of those of the nodes ``[N, U, W]``."""
