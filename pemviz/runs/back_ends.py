@@ -234,6 +234,31 @@ def _check_losses_fit(config: ExperimentConfig, described: MethodDescription) ->
         )
 
 
+def _no_twin_because(
+    config: ExperimentConfig, back_end: BackEnd, *, frailty: float | None
+) -> str | None:
+    """Why no method can go through all states; ``None`` where one can."""
+    name, counts = back_end.simulator.name, latent_counts(back_end.simulator)
+    if counts and back_end.twin is None:
+        return f"runs through all states, and simulator {name!r} has latents"
+    if counts and (config.frailty if frailty is None else frailty):
+        return "takes a quantised start or frailty, not both"
+    if config.memory_law == "visibility":
+        return "runs through all states, and works with memory_law outcomes alone"
+    if back_end.twin is None:
+        return f"needs a fast twin, and simulator {name!r} has none"
+    return None
+
+
+def _check_curves_fit(config: ExperimentConfig, back_end: BackEnd) -> None:
+    """Refuse curves over memories of a system that has none like these."""
+    name = back_end.simulator.name
+    if turns_of(back_end.simulator) > 1:
+        raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
+    if config.memory_law == "visibility":
+        raise ConfigError("memory_curve = true: works with memory_law outcomes alone")
+
+
 def check_method_fits(
     config: ExperimentConfig, back_end: BackEnd, *, frailty: float | None = None
 ) -> None:
@@ -254,12 +279,8 @@ def check_method_fits(
     _check_losses_fit(config, described)
     lacking: dict[Need, str] = {}
     counts = latent_counts(back_end.simulator)
-    if counts and back_end.twin is None:
-        lacking["twin"] = f"runs through all states, and simulator {name!r} has latents"
-    elif counts and (config.frailty if frailty is None else frailty):
-        lacking["twin"] = "takes a quantised start or frailty, not both"
-    elif back_end.twin is None:
-        lacking["twin"] = f"needs a fast twin, and simulator {name!r} has none"
+    if complaint := _no_twin_because(config, back_end, frailty=frailty):
+        lacking["twin"] = complaint
     if episodic(back_end.simulator) is not None:
         kept = f"goes on from kept states, and simulator {name!r} is episodic"
         lacking |= {"twin": kept, "restarts": kept}
@@ -277,8 +298,8 @@ def check_method_fits(
         if need in described.needs:
             fits = "use mixture" if loses else FIT_ANYWHERE.format(check=check)
             raise ConfigError(f"method = {config.method!r}: {complaint}; {fits}")
-    if config.memory_curve and turns_of(back_end.simulator) > 1:
-        raise ConfigError(f"memory_curve = true: not with slots, and simulator {name!r} has them")
+    if config.memory_curve:
+        _check_curves_fit(config, back_end)
     if config.reference and "twin" in lacking:
         fits = "leave it out" if loses else f"use {check} as an independent check"
         raise ConfigError(f"reference = true: the reference {lacking['twin']}; {fits}")

@@ -240,13 +240,6 @@ def _varying_frailty(
     if isinstance(back_end.simulator, UnrolledSimulator) or isinstance(named, Mapping):
         which = f"simulator {back_end.simulator.name!r}, which has slots,"
         raise ConfigError(f"memory_law = 'visibility': {which} works with outcomes alone")
-    for name, asked in {
-        f"method = {config.method!r}": config.method == "zero-variance",
-        "reference = true": config.reference,
-        "memory_curve = true": config.memory_curve,
-    }.items():
-        if asked:
-            raise ConfigError(f"{name}: works with memory_law outcomes alone; use mixture")
     own = varying_frailty_of(named)
     given = {
         "varying": config.varying_frailty,
