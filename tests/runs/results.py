@@ -66,11 +66,17 @@ def configurations():
     named = st.text(min_size=1, max_size=8).filter(str.strip)
     trackers = st.sampled_from(("none", "2/3", "1/1,coast=0.5,filter=kalman"))
     scenarios = plainly(ScenarioConfig, tracker=trackers)
-    alone = plainly(
-        ExperimentConfig, pem=named, simulator=named, rules=st.just(()),
-        scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
-        sumo=st.just(SumoConfig()), carla=st.none(),
-    )  # fmt: skip
+    outcomes = {"varying_frailty": st.none(), "varying_frailty_s": st.none()}
+    laws = ({"memory_law": st.just("outcomes"), **outcomes},
+            {"memory_law": st.just("visibility"), "memory_s": st.none()})  # fmt: skip
+    alone = st.one_of([
+        plainly(
+            ExperimentConfig, pem=named, simulator=named, rules=st.just(()),
+            scenario=scenarios, encounter=st.just(EncounterConfig()), start=st.just(()),
+            sumo=st.just(SumoConfig()), carla=st.none(), **law,
+        )
+        for law in laws
+    ])  # fmt: skip
     names = st.from_regex(RULE_NAME, fullmatch=True)
     rules = st.dictionaries(names, TEXTS, max_size=2)
     return st.builds(ExperimentConfig.with_rules, alone, rules)
