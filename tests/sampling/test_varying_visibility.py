@@ -115,6 +115,7 @@ def test_the_answer_says_the_law_and_the_other_ones_beside():
     assert "frailty 0.5 and time-varying frailty 1.2 (0.4 s)" in pemviz.summary_text(result)
     assert "with the memory of RRC, a camera detector" in words
     assert "independent of each other" not in words
+    assert "if error model ToyPem is right" in words
     assert result.config.pem == "ToyPem"
 
 

@@ -134,8 +134,9 @@ class ComposedPem:
 
     @property
     def name(self) -> str:
-        """The model's name, and the properties' labels."""
-        return " with ".join([self.pem.name, *self._labels])
+        """The model's name, and the labels of properties that no setting names."""
+        labels = [one.label for one in self.properties if one.in_name and one.label]
+        return " with ".join([self.pem.name, *labels])
 
     @property
     def digest(self) -> str:

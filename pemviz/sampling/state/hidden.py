@@ -32,6 +32,8 @@ class HiddenProperty(Component):
     """
 
     follows_model: ClassVar[bool] = True
+    in_name: ClassVar[bool] = True
+    """Whether the error model's name has its label, as where no setting says it."""
 
     @abstractmethod
     def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:

@@ -39,6 +39,7 @@ class VaryingVisibility(HiddenProperty):
     everywhere: bool = False
 
     signals: ClassVar[tuple[Signal, ...]] = (VISIBILITY, SEEN_LOGIT)
+    in_name: ClassVar[bool] = False
 
     @property
     def label(self) -> str:
