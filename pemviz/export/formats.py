@@ -104,6 +104,7 @@ def parquet_bytes(rollout: KeptRollout) -> bytes:
         "pem_digest": pem.digest,
         "memory_s": None if memory is None else memory.tau_s,
         "frailty": None if memory is None else memory.frailty,
+        "hidden": [] if memory is None else list(memory.hidden),
         "seed": config.seed,
     }
     metadata = {METADATA: json.dumps(settings, ensure_ascii=False).encode("utf-8")}

@@ -219,7 +219,9 @@ def understood(config: ExperimentConfig) -> str:
     method = by_name(config.method)
     rules = ", ".join(rule.name for rule in config.rules) or config.spec
     memory = "memory as measured, if any"
-    if config.memory_s is not None:
+    if config.memory_law == "visibility":
+        memory = "visibility that comes and goes"
+    elif config.memory_s is not None:
         memory = f"memory {config.memory_s:g} s" if config.memory_s else "misses independent"
     elif config.assumed_memory_s:
         memory = f"memory {config.assumed_memory_s:g} s if it has none of its own"

@@ -45,9 +45,9 @@ def _memory(result: RunResult) -> str:
     memory = result.memory
     if memory is None or memory.is_independent:
         return "misses independent"
-    words = [f"{memory.tau_s:.2g} s"] if memory.tau_s else []
+    words = [f"memory {memory.tau_s:.2g} s"] if memory.tau_s else []
     words += [f"frailty {memory.frailty:.2g}"] if memory.frailty else []
-    return f"memory {', '.join(words) or 'of its own'}"
+    return ", ".join([*words, *memory.hidden])
 
 
 def _target_words(result: RunResult) -> str:
