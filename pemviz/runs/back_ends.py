@@ -80,11 +80,10 @@ def build_back_end(config: ExperimentConfig) -> BackEnd:
     if config.simulator not in SHIPPED:
         return own_back_end(simulator)
     has_twin = errors is None and config.simulator != "sumo"
-    alike = isinstance(simulator, VectorizedSimulator)
     return BackEnd(
         simulator=simulator,
         features=BrakingFeatures(config.scenario, errors),
-        twin=(simulator if alike else VectorizedSimulator(config.scenario)) if has_twin else None,
+        twin=VectorizedSimulator(config.scenario) if has_twin else None,
         batch_rollouts=_batch_rollouts(config),
         position_errors=errors,
     )

@@ -42,6 +42,7 @@ NOT_THE_METHODS = {
     "step_time_limit_s", "reference", "target", "scenario", "memory_s", "memory_curve",
     "plan", "rules", "frailty", "position_errors", "encounter", "start", "encounters_per_hour",
     "keep", "sumo", "carla", "assumed_memory_s", "measured_memory", "lost",
+    "memory_law", "varying_frailty", "varying_frailty_s",
 }  # fmt: skip
 
 
