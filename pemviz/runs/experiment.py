@@ -254,7 +254,7 @@ def _varying_frailty(
         option = "varying_frailty_s" if "varying" in given else "varying_frailty"
         raise ConfigError(
             f"memory_law = 'visibility': error model {named.name} says nothing of it; give "
-            f"{option}, or fit a model with 'pemviz pem fit --memory'"
+            f"{option}, or fit a model by 'pemviz pem fit --memory --varying-frailty'"
         )
     return VaryingFrailty(**{"frailty": 0.0, **given})
 
