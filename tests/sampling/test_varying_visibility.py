@@ -147,7 +147,7 @@ def test_what_is_left_out_is_the_models_own():
         ({"memory_s": 0.5}, "memory_s = 0.5: must be left out with memory_law visibility"),
         ({"memory_law": "outcomes"}, "varying_frailty = 1.2: must be left out without"),
         ({"varying_frailty": None}, "ToyPem says nothing of it; give varying_frailty, or fit a"),
-        ({"varying_frailty_s": None}, "ToyPem says nothing of it; give varying_frailty_s, or fit a"),
+        ({"varying_frailty_s": None}, "ToyPem says nothing of it; give varying_frailty_s, or fit"),
         ({"frailty": 0.001}, "frailty is 0.001, allowed: 0, or 0.02 to 5"),
         (
             {"method": "zero-variance"},
