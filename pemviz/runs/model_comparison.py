@@ -80,6 +80,8 @@ def compare_models(
         raise ConfigError(f"models = {', '.join(names) or 'none'}: name at least two")
     if config.frailty:
         raise ConfigError(f"frailty = {config.frailty:g}: models are compared with frailty 0 alone")
+    if config.memory_law == "visibility":
+        raise ConfigError("memory_law = 'visibility': models are compared with law outcomes alone")
     base = replace(
         config,
         method="zero-variance",

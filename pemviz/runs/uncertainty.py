@@ -68,7 +68,8 @@ def remedy_of(result: RunResult, diagnostics: Iterable[Diagnostic]) -> str:
     config, checks = result.config, list[str]()
     has_twin = config.is_braking_scenario and config.simulator != "sumo"
     has_twin = has_twin and config.position_errors is None and result.latents is None
-    if has_twin and is_of_single_states(config.spec):
+    outcomes = config.memory_law == "outcomes"
+    if has_twin and outcomes and is_of_single_states(config.spec):
         checks.append("zero-variance")
     if config.lost == "end":  # others go on from what may break
         checks.append("splitting" if has_twin else "subset")
@@ -78,6 +79,8 @@ def remedy_of(result: RunResult, diagnostics: Iterable[Diagnostic]) -> str:
 def memory_option(result: RunResult) -> str:
     """What looks at other memories of misses than the run's, of what the run does not refuse."""
     memory = result.memory or RunMemory(tau_s=0.0)
+    if result.config.memory_law == "visibility":
+        return "a run with --memory-law outcomes"
     if memory.hidden:
         return "a run with other hidden properties"
     if result.config.lost == "end" and not memory.unmeasured.startswith(SEVERAL_SLOTS):

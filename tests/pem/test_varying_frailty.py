@@ -19,7 +19,6 @@ from pemviz.pem.models.varying_frailty import (
     NodeGrid,
     VaryingFrailty,
     VaryingNodes,
-    sampled_misses,
 )
 from tests.pem.synthetic_tracks import tracks_of as table_of
 
@@ -31,6 +30,20 @@ LAWS = [
 ]
 OWN = np.array([2.0, 0.5, -1.0, 3.0, 1.0])
 CHAINS = np.array(list(itertools.product((False, True), repeat=OWN.size)))
+
+
+def sampled_misses(law, logit, *, step_s, random):
+    """Whether frames of chains ``[S, T]`` are missed, with the latents themselves sampled."""
+    count, frames = logit.shape
+    lasting, slow = random.standard_normal((2, count))
+    middle, missed = norm.ppf(expit(-logit)) * law.scale, np.empty(logit.shape, dtype=np.bool_)
+    rho = np.exp(-step_s / law.varying_s)
+    for frame in range(frames):
+        if frame:
+            slow = rho * slow + np.sqrt(1.0 - rho**2) * random.standard_normal(count)
+        seen = middle[:, frame] + law.frailty * lasting + law.varying * slow
+        missed[:, frame] = random.standard_normal(count) < seen
+    return missed
 
 
 def by_orthants(law, own, detected, *, step_s):
@@ -99,7 +112,7 @@ def test_a_finer_grid_says_the_same_of_long_chains():
     random = np.random.default_rng(2)
     for law in LAWS:
         own = np.tile(np.linspace(0.0, 4.0, 60), (16, 1))
-        missed = sampled_misses(law, own, since_s=np.full(60, 0.1), random=random)
+        missed = sampled_misses(law, own, step_s=0.1, random=random)
         usual, finer = (
             VaryingNodes(law, 0.1, grid).log_likelihood(own, ~missed)
             for grid in (NodeGrid(), NodeGrid(farthest=10.0, of_lasting=0.12, of_varying=0.3))
@@ -121,7 +134,7 @@ def test_samples_have_the_laws_pairs():
     law, count = VaryingFrailty(0.5, 1.5, 0.2), 200_000
     own = np.array([1.0, 0.0, 2.0])
     missed = sampled_misses(
-        law, np.tile(own, (count, 1)), since_s=np.full(3, 0.1), random=np.random.default_rng(4)
+        law, np.tile(own, (count, 1)), step_s=0.1, random=np.random.default_rng(4)
     )
     np.testing.assert_allclose(missed.mean(axis=0), expit(-own), atol=5 * 0.5 / count**0.5)
     for one, other in ((0, 1), (0, 2), (1, 2)):
@@ -137,7 +150,7 @@ def tracks_of(law, *, tracks, frames, seed):
     """Tracks at 10 Hz whose P(missed) is known, with outcomes of the law; 20 in a sequence."""
     random = np.random.default_rng(seed)
     own = np.tile(np.linspace(-1.0, 3.0, frames), (tracks, 1))
-    missed = sampled_misses(law, own, since_s=np.full(frames, 0.1), random=random)
+    missed = sampled_misses(law, own, step_s=0.1, random=random)
     track = np.repeat(np.arange(tracks), frames)
     table = table_of(
         ~missed.ravel(), sequence=track // 20, track=track, frame=np.tile(np.arange(frames), tracks)
@@ -192,9 +205,10 @@ def test_a_law_is_found_again_and_told_from_copies():
     [
         ((-0.1, 1.0, 0.5), "frailty is -0.1, allowed: 0, or 0.02 to 5"),
         ((1e-9, 1.0, 0.5), "frailty is 1e-09, allowed: 0, or 0.02 to 5"),
-        ((0.0, 0.0, 0.5), "varying_frailty is 0, allowed: above 0, to 5"),
+        ((0.0, 0.0, 0.5), "varying_frailty is 0, allowed: 0.01 to 5"),
         ((0.0, 1.0, 0.0), "varying_frailty_s is 0, allowed: 0.01 to 10 s"),
         ((0.0, float("nan"), 0.5), "varying_frailty is nan"),
+        ((5.0, 1e-150, 0.5), "varying_frailty is 1e-150, allowed: 0.01 to 5"),
     ],
 )
 def test_laws_out_of_range_are_refused_in_one_line(values, words):

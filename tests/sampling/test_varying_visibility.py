@@ -14,6 +14,7 @@ from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import plain_lines
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.uncertainty import remedy_of
 from pemviz.sampling.rollouts.simulate import replay
 from tests.faults.test_resume import stopped_and_whole
 from tests.lattice_walk import ToyPem, ToySimulator
@@ -117,6 +118,17 @@ def test_the_answer_says_the_law_and_the_other_ones_beside():
     assert "independent of each other" not in words
     assert "if error model ToyPem is right" in words
     assert result.config.pem == "ToyPem"
+
+
+def test_advice_names_nothing_that_the_law_refuses():
+    result = run(build_experiment(CONFIG, simulator=SIMULATOR, pem=PEM))
+    assert "a run with --memory-law outcomes may tell" in result.memory.unmeasured
+    settings = {"frailty": 0.5, "varying_frailty": 1.0, "varying_frailty_s": 0.3}
+    braking = ExperimentConfig(memory_law="visibility", **settings)
+    for law, allowed in ((braking, False), (ExperimentConfig(), True)):
+        better = remedy_of(replace(result, config=replace(law, method="mixture")), ())
+        assert ("zero-variance" in better) == allowed
+        assert "splitting" in better
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(tmp_path):

@@ -32,7 +32,9 @@ from pemviz.chunks import distinct_rows
 from pemviz.errors import PemError
 from pemviz.pem.models.memory import miss_quantile
 
-SMALLEST, LARGEST = 0.02, 5.0
+SMALLEST, SMALLEST_VARYING, LARGEST = 0.02, 0.01, 5.0
+"""Of f where it is not 0, of g, and of both: the levels are the more, the less one is than the
+other."""
 SHORTEST_S, LONGEST_S = 0.01, 10.0
 LEAST = 1e-150
 """Shares below this are taken for none: arithmetic with denormal numbers is slow, and it would take
@@ -48,7 +50,7 @@ class VaryingFrailty:
 
     Attributes:
         frailty: f, spread of what lasts as long as the obstacle is there; 0: nothing does.
-        varying: g, spread of what comes and goes, above 0.
+        varying: g, spread of what comes and goes.
         varying_s: Its correlation time tau [s].
 
     Raises:
@@ -63,8 +65,9 @@ class VaryingFrailty:
         if self.frailty != 0.0 and not SMALLEST <= self.frailty <= LARGEST:
             allowed = f"0, or {SMALLEST:g} to {LARGEST:g}"
             raise PemError(f"frailty is {self.frailty:g}, allowed: {allowed}")
-        if not 0.0 < self.varying <= LARGEST:
-            raise PemError(f"varying_frailty is {self.varying:g}, allowed: above 0, to {LARGEST:g}")
+        if not SMALLEST_VARYING <= self.varying <= LARGEST:
+            allowed = f"{SMALLEST_VARYING:g} to {LARGEST:g}"
+            raise PemError(f"varying_frailty is {self.varying:g}, allowed: {allowed}")
         if not SHORTEST_S <= self.varying_s <= LONGEST_S:
             allowed = f"{SHORTEST_S:g} to {LONGEST_S:g} s"
             raise PemError(f"varying_frailty_s is {self.varying_s:g}, allowed: {allowed}")
@@ -256,29 +259,6 @@ class VaryingNodes:
 def chunks(count: int) -> Iterator[slice]:
     """So many rollouts, some at a time: what they need stays in a core's cache."""
     return (slice(start, start + CHUNK_ROWS) for start in range(0, count, CHUNK_ROWS))
-
-
-def sampled_misses(
-    law: VaryingFrailty, logit: FloatArray, *, since_s: FloatArray, random: np.random.Generator
-) -> BoolArray:
-    """Whether a chain of frames is missed, S times over ``[S, T]``.
-
-    Args:
-        law: Of the visibility.
-        logit: Logits of P(detected) ``[S, T]``.
-        since_s: Time since the frame before ``[T]`` [s]; of the first nothing is asked.
-        random: Where from.
-    """
-    count, frames = logit.shape
-    lasting, slow = random.standard_normal((2, count))
-    middle, missed = miss_quantile(logit) * law.scale, np.empty(logit.shape, dtype=np.bool_)
-    for frame in range(frames):
-        if frame:
-            rho = math.exp(-float(since_s[frame]) / law.varying_s)
-            slow = rho * slow + math.sqrt(1.0 - rho**2) * random.standard_normal(count)
-        seen = middle[:, frame] + law.frailty * lasting + law.varying * slow
-        missed[:, frame] = random.standard_normal(count) < seen
-    return missed
 
 
 def _weights(nodes: FloatArray) -> FloatArray:

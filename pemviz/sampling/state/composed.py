@@ -312,8 +312,8 @@ def composed(
     model = with_hidden(pem, properties)
     own = pem if isinstance(model, ChainModel) else None
     simulator = twin = system_of(back_end.simulator, properties, pem=own)
-    if back_end.twin is None or property_in(properties, VaryingVisibility) is not None:
-        twin = None  # each chain of outcomes has a state of its own: none can be gone through
+    if back_end.twin is None or not all(one.has_few_states for one in properties):
+        twin = None
     elif back_end.twin is not back_end.simulator:
         twin = system_of(back_end.twin, properties, pem=own)
     system = replace(

@@ -34,6 +34,8 @@ class HiddenProperty(Component):
     follows_model: ClassVar[bool] = True
     in_name: ClassVar[bool] = True
     """Whether the error model's name has its label, as where no setting says it."""
+    has_few_states: ClassVar[bool] = True
+    """Whether equal signals are equal states, so that a twin can be gone through state by state."""
 
     @abstractmethod
     def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:

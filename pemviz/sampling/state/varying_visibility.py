@@ -5,7 +5,7 @@ of u and w is after the outcomes so far; P(detected | outcomes so far) is a func
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -13,11 +13,9 @@ import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.pem.models.varying_frailty import VaryingFrailty, VaryingNodes, chunks
-from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.state.component import CARRIED, Known, ModelLogit
-from pemviz.sampling.state.hidden import HiddenProperty, OwnLogit
-from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY
-from pemviz.types import RolloutBatch, Signal, StateBatch
+from pemviz.sampling.state.visibility import SEEN_LOGIT, VISIBILITY, FilteredVisibility
+from pemviz.types import RolloutBatch, StateBatch
 
 BEFORE = f"{CARRIED}visibility before the next outcome"
 """Memory: records ``[N]`` of the ``shares [U, W]`` of the nodes, and of what the model of single
@@ -25,20 +23,18 @@ outcomes says in the state, ``own``."""
 
 
 @dataclass(frozen=True)
-class VaryingVisibility(HiddenProperty):
+class VaryingVisibility(FilteredVisibility):
     """Some obstacles are hard to see, for as long as they are there or for a while.
 
     Attributes:
         law: How much, and for how long.
         dt_s: Time between two outcomes [s].
-        everywhere: As of :class:`~pemviz.sampling.state.visibility.Visibility`.
     """
 
     law: VaryingFrailty
     dt_s: float
-    everywhere: bool = False
 
-    signals: ClassVar[tuple[Signal, ...]] = (VISIBILITY, SEEN_LOGIT)
+    has_few_states: ClassVar[bool] = False  # each chain of outcomes has a distribution of its own
     in_name: ClassVar[bool] = False
 
     @property
@@ -46,11 +42,6 @@ class VaryingVisibility(HiddenProperty):
         """What varies, by how much."""
         varying = f"time-varying frailty {self.law.varying:.3g} ({self.law.varying_s:.3g} s)"
         return f"frailty {self.law.frailty:.3g} and {varying}" if self.law.frailty else varying
-
-    @property
-    def shown(self) -> tuple[str, ...]:
-        """The logit alone."""
-        return (SEEN_LOGIT.name,)
 
     @cached_property
     def nodes(self) -> VaryingNodes:
@@ -83,22 +74,6 @@ class VaryingVisibility(HiddenProperty):
             return self.nodes.later(after, self._moves)
 
         return of
-
-    def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:  # noqa: ARG002  it is in it
-        """The states say it."""
-        return shown[..., 0]
-
-    def features(self, states: StateBatch) -> tuple[FloatArray, ...]:
-        """The mean visibility."""
-        return (states.signals[VISIBILITY.name],)
-
-    def matters(self, features: StateFeatures, states: StateBatch) -> BoolArray | None:
-        """As elsewhere, unless it is ``everywhere``."""
-        return super().matters(features, states) if self.everywhere else None
-
-    def for_proposals(self) -> "VaryingVisibility":
-        """The same, which acts ``everywhere``."""
-        return replace(self, everywhere=True)
 
     def log_likelihood(self, own: FloatArray, detected: BoolArray) -> FloatArray:
         """Log likelihood of rollouts' outcomes ``[N, T-1]`` together, ``[N]``."""

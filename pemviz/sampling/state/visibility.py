@@ -6,9 +6,9 @@ to know nothing of u, and weights are those of outcomes with u integrated out.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -41,21 +41,16 @@ CHUNK_ROWS = 256
 
 
 @dataclass(frozen=True)
-class Visibility(HiddenProperty):
-    """Some obstacles are hard to see for as long as they are there.
+class FilteredVisibility(HiddenProperty):
+    """A filter of how hard to see the obstacle is, whose states say what P(detected) follows.
 
     Attributes:
-        memory: With a frailty above 0; its memory time, if any, is that of a
-            :class:`~pemviz.sampling.state.last_outcome.LastOutcome` before this property.
-        dt_s: Time between two outcomes [s].
         everywhere: Whether outcomes to which the scenario does not react are of interest too: they
             bring no violation nearer, but they tell something of the obstacle, and so change what
             the next ones are.
     """
 
-    memory: Memory
-    dt_s: float
-    everywhere: bool = False
+    everywhere: bool = field(default=False, kw_only=True)
 
     signals: ClassVar[tuple[Signal, ...]] = (VISIBILITY, SEEN_LOGIT)
 
@@ -63,6 +58,36 @@ class Visibility(HiddenProperty):
     def shown(self) -> tuple[str, ...]:
         """The logit alone."""
         return (SEEN_LOGIT.name,)
+
+    def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:  # noqa: ARG002  it is in it
+        """The states say it."""
+        return shown[..., 0]
+
+    def features(self, states: StateBatch) -> tuple[FloatArray, ...]:
+        """The posterior mean of the visibility."""
+        return (states.signals[VISIBILITY.name],)
+
+    def matters(self, features: StateFeatures, states: StateBatch) -> BoolArray | None:
+        """As elsewhere, unless it is ``everywhere``."""
+        return super().matters(features, states) if self.everywhere else None
+
+    def for_proposals(self) -> Self:
+        """The same, which acts ``everywhere``."""
+        return replace(self, everywhere=True)
+
+
+@dataclass(frozen=True)
+class Visibility(FilteredVisibility):
+    """Some obstacles are hard to see for as long as they are there.
+
+    Attributes:
+        memory: With a frailty above 0; its memory time, if any, is that of a
+            :class:`~pemviz.sampling.state.last_outcome.LastOutcome` before this property.
+        dt_s: Time between two outcomes [s].
+    """
+
+    memory: Memory
+    dt_s: float
 
     @cached_property
     def nodes(self) -> VisibilityNodes:
@@ -88,22 +113,6 @@ class Visibility(HiddenProperty):
         log_posterior = np.where(detected[:, None], after["detected"], after["missed"])
         mean = np.where(detected, after["mean_detected"], after["mean_missed"])
         return self._known(states, model(states), log_posterior, mean)
-
-    def logit(self, shown: FloatArray, own: OwnLogit) -> FloatArray:  # noqa: ARG002  it is in it
-        """The states say it."""
-        return shown[..., 0]
-
-    def features(self, states: StateBatch) -> tuple[FloatArray, ...]:
-        """The posterior mean of u."""
-        return (states.signals[VISIBILITY.name],)
-
-    def matters(self, features: StateFeatures, states: StateBatch) -> BoolArray | None:
-        """As elsewhere, unless it is ``everywhere``."""
-        return super().matters(features, states) if self.everywhere else None
-
-    def for_proposals(self) -> "Visibility":
-        """The same, which acts ``everywhere``."""
-        return replace(self, everywhere=True)
 
     def log_outcomes(self, own: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Log P(missed) and log P(detected) by node, ``[N, J]``.
