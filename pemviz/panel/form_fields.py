@@ -35,6 +35,8 @@ BUDGET = ("stages", "rollouts", "final_rollouts")
 LABELS = {
     "pem": "Error model",
     "memory_s": "Memory of misses",
+    "memory_law": "Law of misses",
+    "varying_frailty_s": "Frailty varies over",
     "alpha": "alpha",
     "sigma": "sigma",
     "max_rollouts": "Rollouts at most",
