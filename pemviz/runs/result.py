@@ -18,10 +18,11 @@ from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Range, S
 from pemviz.latents import LatentCounts
 from pemviz.pem import Pem
 from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
-from pemviz.pem.models.predictive_check import ModelCheck, check_from_mapping
+from pemviz.pem.models.predictive_check import ModelCheck, Variant, check_from_mapping
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.slots import single_model
-from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem
+from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem, property_in
+from pemviz.sampling.state.varying_visibility import VaryingVisibility
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.simulators.detector_loop import DETECTOR_ITSELF
 from pemviz.types import Estimate, ShownInNotebooks, StageKind
@@ -177,11 +178,11 @@ class RunMemory:
 def memory_of(pem: Pem) -> RunMemory:
     """The memory that a run with this error model assumes."""
     single = single_model(own_pem(pem))
-    assumed, own = memory_of_pem(pem), own_memory(single)
-    hidden = tuple(one.label for one in hidden_in(pem) if one.label)
+    assumed, own, properties = memory_of_pem(pem), own_memory(single), hidden_in(pem)
+    hidden = tuple(one.label for one in properties if one.label)
     run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
     if own is None:
-        return replace(run, check=_own_check(single, run))
+        return replace(run, check=_own_check(single, _variant_of(run)))
     low_s, high_s = own.tau_interval_s
     low, high = own.frailty_interval or (None, None)
     fitted = MeasuredTau(
@@ -194,10 +195,18 @@ def memory_of(pem: Pem) -> RunMemory:
         frailty_high=high,
     )
     run = replace(run, fitted=fitted)
-    return replace(run, check=_own_check(single, run))
+    comes = property_in(properties, VaryingVisibility)
+    is_own = comes is not None and len(hidden) == 1 and comes.law == own.varying
+    return replace(run, check=_own_check(single, "visibility" if is_own else _variant_of(run)))
 
 
-def _own_check(pem: Pem, run: RunMemory) -> ModelCheck | None:
+def _variant_of(run: RunMemory) -> Variant | None:
+    if run.hidden:
+        return None
+    return "independent" if run.is_independent else "both" if run.is_own else None
+
+
+def _own_check(pem: Pem, assumed: Variant | None) -> ModelCheck | None:
     """What a model's card says of predictive checks, of the variant that a run assumes.
 
     Raises:
@@ -209,9 +218,6 @@ def _own_check(pem: Pem, run: RunMemory) -> ModelCheck | None:
     check = check_from_mapping(card.check, where=pem.name)
     if check is None:
         return None
-    assumed = "independent" if run.is_independent else "both" if run.is_own else None
-    if run.hidden:
-        assumed = None
     return replace(check, variants=tuple(one for one in check.variants if one.name == assumed))
 
 

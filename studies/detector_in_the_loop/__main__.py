@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -16,6 +17,7 @@ from studies.detector_in_the_loop.study import (
     document_of,
     predictions,
     reasons,
+    tell_since,
     the_detector,
     truths,
 )
@@ -43,11 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         effort = replace(effort, share=given.share)
     if given.frames is not None:
         effort = replace(effort, frames=tuple(given.frames))
-    began = time.monotonic()
-
-    def tell(words: str) -> None:
-        print(f"[{time.monotonic() - began:6.0f} s] {words}", file=sys.stderr, flush=True)
-
+    tell = partial(tell_since, time.time())
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fine:
         predictions(given.out, effort, names=given.settings, tell=tell, fine=True)

@@ -14,7 +14,7 @@ from studies.detector_in_the_loop.page_words import (
 )
 from studies.detector_in_the_loop.pictures import write_curve, write_frames, write_ratios
 from studies.detector_in_the_loop.settings import SETTINGS, Effort
-from studies.detector_in_the_loop.study import HIDDEN, VISIBILITY, Row, Truth, the_detector
+from studies.detector_in_the_loop.study import HIDDEN, Row, Truth, the_detector
 from studies.detector_in_the_loop.why import Explained
 
 Tell = Callable[[str], None]
@@ -120,7 +120,7 @@ def check_table(rows: Sequence[Row], found: Mapping[str, Truth]) -> str:
         def share(chosen: Sequence[Row], right: Mapping[int, bool] = right) -> str:
             return f"{sum(right[id(row)] for row in chosen)} of {len(chosen)}" if chosen else "-"
 
-        if variant in {HIDDEN, VISIBILITY}:
+        if variant == HIDDEN:
             lines.append(f"| {title} | {share(own)} | - | - | - | - | - | - |")
             continue
         parts = [

@@ -2,8 +2,8 @@
 
 import math
 
-from studies.detector_in_the_loop.predictions import Answer
-from studies.detector_in_the_loop.study import HIDDEN, VISIBILITY, Truth
+from studies.detector_in_the_loop.predictions import VISIBILITY, Answer
+from studies.detector_in_the_loop.study import HIDDEN, Truth
 from studies.logical_scenarios.answers import Answer as Known
 from studies.logical_scenarios.answers import Factor, factor, short
 

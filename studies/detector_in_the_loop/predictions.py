@@ -1,9 +1,10 @@
 """What a user of pemviz predicts from labelled frames: its own commands, and nothing else.
 
 ``pem collect``, ``pem fit --memory`` (which also checks the model against the sequences that each
-part of it did not see), and ``record`` in four variants: misses independent, with the memory time
-alone, with the frailty alone, with both, each with the value that was fitted for that variant. Then
-``pem check`` of the fitted model on as many sequences that it has not seen.
+part of it did not see), and ``record`` in five variants: misses independent, with the memory time
+alone, with the frailty alone, with both, each with the value that was fitted for that variant, and
+with a visibility that comes and goes. Then ``pem check`` of the fitted model on as many sequences
+that it has not seen.
 """
 
 import csv
@@ -30,7 +31,9 @@ SCENARIO_SIZE = ("1.53", "1.63", "4.5")
 ROUNDED_M = 0.5
 KIND = "ml-nn"
 """Of error model; boosted trees do not follow how steeply P(missed) falls near by."""
-VARIANTS = ("independent", "memory", "frailty", "both")
+VISIBILITY = "visibility"
+VARIANTS = ("independent", "memory", "frailty", "both", VISIBILITY)
+"""As ``pem check`` names them; the last one has a visibility that comes and goes."""
 
 
 class CommandError(RuntimeError):
@@ -58,20 +61,24 @@ class Variant:
     """An error model with what was fitted of its memory.
 
     Attributes:
-        tau_s: Memory time [s].
-        frailty: Frailty.
+        tau_s: Memory time [s]; of a visibility that comes and goes, its time.
+        frailty: Frailty; likewise, what lasts.
         refuted: Quantities that are refuted on the sequences it was fitted to, out of fold.
         unseen: Quantities that are refuted on sequences that it has not seen, by name.
+        comes_and_goes: Whether it is such a visibility.
     """
 
     tau_s: float
     frailty: float
     refuted: int
     unseen: tuple[str, ...]
+    comes_and_goes: bool = False
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Of ``record``."""
+        """Of ``record``; the model carries what comes and goes."""
+        if self.comes_and_goes:
+            return "--memory-law", VISIBILITY
         return "--memory-s", f"{self.tau_s:g}", "--frailty", f"{self.frailty:g}"
 
 
@@ -81,14 +88,11 @@ class Fitted:
 
     Attributes:
         path: The model.
-        variants: By :data:`VARIANTS`.
-        law: Of a visibility that comes and goes, by the names of ``record``'s options; ``None``
-            where it was not fitted.
+        variants: By :data:`VARIANTS`; without the last where it was not fitted.
     """
 
     path: Path
     variants: dict[str, Variant]
-    law: Mapping[str, float] | None = None
 
 
 def subset(folder: Path, out: Path, names: Sequence[str]) -> None:
@@ -179,10 +183,11 @@ def fitted(
     unseen = {one["name"]: one["quantities"] for one in told["variants"]}
     variants = {
         name: Variant(
-            tau_s=seen[name]["tau_s"],
+            tau_s=seen[name]["varying_s" if name == VISIBILITY else "tau_s"],
             frailty=seen[name]["frailty"],
             refuted=sum(quantity["refuted"] for quantity in seen[name]["quantities"]),
             unseen=tuple(q["name"] for q in unseen.get(name, ()) if q["refuted"]),
+            comes_and_goes=name == VISIBILITY,
         )
         for name in VARIANTS
         if name in seen
@@ -191,8 +196,7 @@ def fitted(
     both, memory = variants.get("both"), card["memory"]["fit"]["memory"]
     if both is not None:
         variants["both"] = replace(both, tau_s=memory["tau_s"], frailty=memory["frailty"])
-    law = card["memory"].get("varying", {}).get("law")
-    return Fitted(folder / "model.safetensors", variants, law)
+    return Fitted(folder / "model.safetensors", variants)
 
 
 def recorded(

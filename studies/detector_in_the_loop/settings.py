@@ -13,6 +13,8 @@ TRAINING, VALIDATION, LABELLED, HELD_OUT, TRUTH, SPLITTING, WHY = range(7)
 SPLITTING_RUNS = 5
 BLOCK = 500
 """Rollouts that are drawn together."""
+ENOUGH = 400
+"""Failures that give a probability within 10 %."""
 
 
 def seeds(purpose: int, *place: int) -> np.random.SeedSequence:
@@ -29,7 +31,7 @@ class Setting:
         world: The scenario.
         domain_name: Light and weather, of :data:`DOMAINS`.
         strict: How far the detector's threshold is from the usual one, in logits.
-        rollouts: That are counted.
+        rollouts: That are counted, unless ``ENOUGH`` fail before.
         levels_m: Of splitting; empty: plain rollouts are enough.
         particles: Of a run of splitting.
     """
@@ -62,6 +64,7 @@ class Effort:
         epochs: Of training.
         validation: Pictures of its curve and threshold.
         frames: Labelled, a prediction for each.
+        frames_by_kind: Labelled, for a model of each kind of light and weather.
         share: Of the rollouts of each setting.
         scenes: To see why predictions are off.
         splitting_runs: Of each setting that splitting answers.
@@ -71,6 +74,7 @@ class Effort:
     epochs: int = 12
     validation: int = 4_000
     frames: tuple[int, ...] = (1_000, 10_000, 100_000)
+    frames_by_kind: int = 10_000
     share: float = 1.0
     scenes: int = 3_000
     splitting_runs: int = SPLITTING_RUNS
@@ -78,8 +82,8 @@ class Effort:
 
 WHOLE = Effort()
 QUICK = replace(
-    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(2_000,), share=0.01, scenes=100,
-    splitting_runs=2,
+    WHOLE, pictures=8_000, epochs=5, validation=1_000, frames=(2_000,), frames_by_kind=2_000,
+    share=0.01, scenes=100, splitting_runs=2,
 )  # fmt: skip
 
 

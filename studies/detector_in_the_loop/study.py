@@ -1,21 +1,27 @@
 """The parts of the study, in order; what is done is kept in files, and the same command goes on."""
 
 import json
-import logging
+import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import chain, product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import torch
 
 from pemviz.files.atomic import write_text
 from pemviz.pem import load_pem
+from pemviz.processes import map_in_processes, usable_cpus
 from studies.detector_in_the_loop.detector import Detector, load_detector, save_network
 from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
     VARIANTS,
+    VISIBILITY,
     Answer,
     Fitted,
     fitted,
@@ -43,10 +49,9 @@ from studies.detector_in_the_loop.truth import Count, counted
 from studies.detector_in_the_loop.why import Explained, OwnMemory, explained
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
-LOG = logging.getLogger(__name__)
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Tell = Callable[[str], None]
-VISIBILITY = "visibility"
-"""The variant with a visibility that comes and goes."""
 HIDDEN = "hidden"
 """The variant that knows light and weather: a model for each, with both memory and frailty."""
 FEWEST_OF_A_KIND = 5
@@ -96,6 +101,11 @@ class Row:
     frailty: float | None
     refuted: int | None
     unseen: tuple[str, ...]
+
+
+def tell_since(began_s: float, words: str) -> None:
+    """Say on standard error what is done, and how long after a time of :func:`time.time`."""
+    print(f"[{time.time() - began_s:6.0f} s] {words}", file=sys.stderr, flush=True)
 
 
 def the_detector(folder: Path, effort: Effort, tell: Tell) -> Detector:
@@ -176,7 +186,7 @@ def fitted_to(
 
 def possible(setting: Setting) -> tuple[str, ...]:
     """Variants that ``record`` can answer for: with several obstacles it takes no frailty."""
-    return VARIANTS if setting.world.cars == 1 else ("independent", "memory")
+    return VARIANTS if setting.world.cars == 1 else VARIANTS[:2]
 
 
 def predicted(
@@ -219,21 +229,6 @@ def predicted(
     return rows
 
 
-def predicted_by_visibility(
-    folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
-) -> list[Row]:
-    """What is predicted with a visibility that comes and goes in place of copied outcomes."""
-    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
-    if model.law is None or setting.world.cars > 1:  # of one obstacle alone
-        return []
-    out = folder / "answers" / setting.name / f"{frames}_{VISIBILITY}.json"
-    told = recorded(setting, model.path, memory=("--memory-law", "visibility"), out=out)
-    answer, law = Answer.of(told), model.law
-    tell(f"{setting.name}, {frames} frames, {VISIBILITY} {law}: {answer.probability:.2e}")
-    tau_s, frailty = law["varying_s"], law["frailty"]
-    return [Row(setting.name, frames, VISIBILITY, answer, tau_s, frailty, None, ())]
-
-
 def predicted_by_kind(
     folder: Path, setting: Setting, detector: Detector, *, frames: int, tell: Tell
 ) -> list[Row]:
@@ -260,7 +255,7 @@ def predicted_by_kind(
             model = fitted(
                 where / "train", where / "other", where, threshold=threshold, varying=False
             )
-        both = model.variants[possible(setting)[-1]]
+        both = model.variants["both" if "both" in possible(setting) else "memory"]
         out = answers / f"{frames}_{HIDDEN}-{place}.json"
         told = recorded(setting, model.path, memory=both.options, out=out)
         parts.append((len(mine) / len(names), Answer.of(told)))
@@ -314,66 +309,98 @@ def the_truth(
 def predictions(
     folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, fine: bool = False
 ) -> list[Row]:
-    """All predictions of the settings named, the fewest frames first.
+    """All predictions of the settings named, the fewest frames first; each domain in a process.
 
     With ``fine`` from tables as they come, and no others.
     """
-    detector = the_detector(folder, effort, tell)
-    chosen, rows = [one for one in SETTINGS if one.name in names], list[Row]()
-    for frames in effort.frames:
-        for setting in chosen:
-            rows += predicted(folder, setting, detector, frames=frames, tell=tell, fine=fine)
-    for frames in () if fine else effort.frames:
-        for setting in chosen:
-            rows += predicted_by_visibility(folder, setting, detector, frames=frames, tell=tell)
-    for setting in () if fine else chosen:
-        rows += predicted_by_kind(folder, setting, detector, frames=effort.frames[-1], tell=tell)
+    the_detector(folder, effort, tell)
+    chosen = [setting for setting in SETTINGS if setting.name in names]
+    domains = list(dict.fromkeys(setting.domain_name for setting in chosen))
+    groups = [[one for one in chosen if one.domain_name == domain] for domain in domains]
+    rows = in_processes(partial(_predictions_of, folder, effort, tell, fine), groups)
+    place = {setting.name: number for number, setting in enumerate(SETTINGS)}
+    return sorted(chain.from_iterable(rows), key=lambda row: (row.frames, place[row.setting]))
+
+
+def _predictions_of(
+    folder: Path, effort: Effort, tell: Tell, fine: bool, settings: Sequence[Setting]
+) -> list[Row]:
+    detector, rows = the_detector(folder, effort, tell), list[Row]()
+    for frames, setting in product(effort.frames, settings):
+        rows += predicted(folder, setting, detector, frames=frames, tell=tell, fine=fine)
+    for setting in () if fine else settings:
+        frames = effort.frames_by_kind
+        rows += predicted_by_kind(folder, setting, detector, frames=frames, tell=tell)
     return rows
 
 
 def truths(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) -> dict[str, Truth]:
-    """The truth of each setting named."""
+    """The truth of each setting named, each in a process; those that take longest begin first."""
+    the_detector(folder, effort, tell)
+    chosen = [setting for setting in SETTINGS if setting.name in names]
+    begun = sorted(chosen, key=lambda setting: -len(setting.levels_m))
+    found = in_processes(partial(_truth_of, folder, effort, tell), begun)
+    by_name = {setting.name: one for setting, one in zip(begun, found, strict=True)}
+    return {setting.name: by_name[setting.name] for setting in chosen}
+
+
+def _truth_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Truth:
     detector = the_detector(folder, effort, tell)
-    return {
-        setting.name: the_truth(
-            folder,
-            setting,
-            detector,
-            share=effort.share,
-            tell=tell,
-            splitting_runs=effort.splitting_runs,
-        )
-        for setting in SETTINGS
-        if setting.name in names
-    }
+    return the_truth(
+        folder,
+        setting,
+        detector,
+        share=effort.share,
+        tell=tell,
+        splitting_runs=effort.splitting_runs,
+    )
 
 
 def reasons(
     folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell
 ) -> dict[str, Explained]:
     """Why predictions from the most labelled frames are off, in the braking scenario."""
-    detector, found = the_detector(folder, effort, tell), dict[str, Explained]()
+    the_detector(folder, effort, tell)
     (folder / "why").mkdir(parents=True, exist_ok=True)
-    for setting in SETTINGS:
-        if setting.name not in names or not isinstance(setting.world, BrakingWorld):
-            continue
-        path = folder / "why" / f"{setting.name}_{effort.frames[-1]}.json"
-        if not path.exists():
-            frames = effort.frames[-1]
-            model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
-            memories = {name: (one.tau_s, one.frailty) for name, one in model.variants.items()}
-            place = tuple(setting.name.encode())
-            scenes = draw_scenes(
-                setting.domain, count=effort.scenes, cars=1, seeds=seeds(WHY, *place)
-            )
-            loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
-            made = explained(loop, scenes, load_pem(str(model.path)), memories)
-            write_text(path, json.dumps(asdict(made)))
-            tell(f"{setting.name}: all frames missed {made.all_missed:.2e}; {made.by_variant}")
-        document = json.loads(path.read_text(encoding="utf-8"))
-        own = OwnMemory(**document.pop("own"))
-        found[setting.name] = Explained(own=own, **document)
-    return found
+    chosen = [
+        setting
+        for setting in SETTINGS
+        if setting.name in names and isinstance(setting.world, BrakingWorld)
+    ]
+    found = in_processes(partial(_reasons_of, folder, effort, tell), chosen)
+    return {setting.name: one for setting, one in zip(chosen, found, strict=True)}
+
+
+def _reasons_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Explained:
+    frames = effort.frames[-1]
+    path = folder / "why" / f"{setting.name}_{frames}.json"
+    if not path.exists():
+        detector = the_detector(folder, effort, tell)
+        model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
+        memories = {
+            name: (one.tau_s, one.frailty)
+            for name, one in model.variants.items()
+            if name != VISIBILITY
+        }
+        place = tuple(setting.name.encode())
+        scenes = draw_scenes(setting.domain, count=effort.scenes, cars=1, seeds=seeds(WHY, *place))
+        loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
+        made = explained(loop, scenes, load_pem(str(model.path)), memories)
+        write_text(path, json.dumps(asdict(made)))
+        tell(f"{setting.name}: all frames missed {made.all_missed:.2e}; {made.by_variant}")
+    document = json.loads(path.read_text(encoding="utf-8"))
+    own = OwnMemory(**document.pop("own"))
+    return Explained(own=own, **document)
+
+
+def in_processes(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """The results of all, on every core; each process calculates with one thread."""
+    return map_in_processes(partial(_alone, function), items, workers=usable_cpus())
+
+
+def _alone(function: Callable[[Item], Result], item: Item) -> Result:
+    torch.set_num_threads(1)
+    return function(item)
 
 
 def document_of(

@@ -12,7 +12,7 @@ from pemviz.files.atomic import write_text
 from studies.detector_in_the_loop.detector import Detector
 from studies.detector_in_the_loop.loop import Driven, Loop
 from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, draw_scenes
-from studies.detector_in_the_loop.settings import BLOCK, TRUTH, Setting, seeds
+from studies.detector_in_the_loop.settings import BLOCK, ENOUGH, TRUTH, Setting, seeds
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,9 @@ def counted(
     rollouts: int,
     on_block: Callable[[Count, int], None] | None = None,
 ) -> Count:
-    """Count failures of at least so many rollouts, going on from what is kept in ``folder``.
+    """Count failures until ``ENOUGH`` are there, or of at least so many rollouts.
+
+    It goes on from what is kept in ``folder``.
 
     Raises:
         OSError: A file cannot be written.
@@ -87,6 +89,8 @@ def counted(
     path = folder / f"{setting.name}.json"
     blocks = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     for block in range(len(blocks), -(-rollouts // BLOCK)):
+        if summed(blocks).failed >= ENOUGH:
+            break
         driven = driven_block(setting, detector, block=block, rollouts=BLOCK)
         scenes = block_scenes(setting, block)
         kinds = [

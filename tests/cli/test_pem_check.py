@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pemviz.cli.main import main
+from pemviz.config import ExperimentConfig
 from pemviz.pem import load_pem, save_pem
 from pemviz.pem.models.cards import PemCard
 from pemviz.pem.models.predictive_check import (
@@ -21,6 +22,7 @@ from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import summary_text
+from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunMemory, memory_of
 from pemviz.runs.result_file import result_document, result_from_document
 from tests.reports.runs import result as made_up_result
@@ -104,6 +106,32 @@ def test_a_fitted_model_carries_its_check_and_knows_its_own_data(tmp_path, capsy
     assert model.read_bytes() == before
 
 
+def test_a_visibility_that_comes_and_goes_is_checked_and_told_of_in_an_answer(tmp_path, capsys):
+    table, model = write_tracks(tmp_path / "tracks.csv", sequences=2), tmp_path / "own.safetensors"
+    assert check("--table", table, "--model", "lr", "--folds", 2, "--draws", 799,
+                 "--varying-frailty", "--out", tmp_path / "check.md") == 0  # fmt: skip
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "With visibility that comes and goes (time-varying frailty" in printed
+    assert "| with visibility |" in (tmp_path / "check.md").read_text()
+    assert main(["pem", "fit", "--table", str(table), "--model", "lr", "--memory", "--folds", "2",
+                 "--varying-frailty", "--out", str(model)]) == 0  # fmt: skip
+    assert "With visibility that comes and goes" in " ".join(capsys.readouterr().out.split())
+    pem = load_pem(str(model))
+    other = write_tracks(tmp_path / "other.csv", seed=1)
+    assert check("--table", other, "--pem", model, "--draws", 799, "--json") == 0
+    last = json.loads(capsys.readouterr().out)["check"]["variants"][-1]
+    assert last["name"] == "visibility"
+    law = pem.varying_frailty
+    assert (last["frailty"], last["varying"], last["varying_s"]) == (
+        law.frailty, law.varying, law.varying_s,
+    )  # fmt: skip
+    own = replace(ExperimentConfig(), pem=str(model), memory_law="visibility")
+    shown = memory_of(build_experiment(own).pem).check
+    assert [one.name for one in shown.variants] == ["visibility"]
+    other = replace(own, frailty=0.5, varying_frailty=0.7, varying_frailty_s=0.2)
+    assert memory_of(build_experiment(other).pem).check.variants == ()
+
+
 def test_position_errors_of_a_model_are_checked_beside_it(tmp_path, capsys):
     table = write_tracks(tmp_path / "tracks.csv", errors=True)
     words = ("--table", table, "--pem", "rrc", "--position-errors", "pointrcnn", "--draws", 799)
@@ -124,6 +152,7 @@ BAD = {
     "no-errors": (["--pem", "rrc", "--position-errors", "pointrcnn"], "the header lacks"),
     "pem": (["--pem", "rrrc"], "no perception error model 'rrrc'"),
     "rate": (["--rate-hz", "0"], "rate_hz is 0, allowed: above 0"),
+    "varying": (["--pem", "rrc", "--varying-frailty"], "varying_frailty: not with pem, which is"),
     "seed": (["--seed", "-1"], "seed is -1, allowed: 0 or more"),
 }
 

@@ -44,8 +44,10 @@ from pemviz.pem.models.predictive_check import (
     check_from_mapping,
     check_line,
     check_table,
+    verdict_lines,
     wrong_words,
 )
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from tests.pem.helpers import shipped_file
 from tests.pem.synthetic_tracks import tracks_of
 
@@ -250,7 +252,9 @@ def test_holm_refuses_what_a_step_by_step_reading_does(p_values):
     assert set(np.flatnonzero(holm(np.array(p_values))).tolist()) == refused
 
 
-@pytest.mark.parametrize("memory", [Memory(), Memory(0.2), Memory(0.2, 0.7)])
+@pytest.mark.parametrize(
+    "memory", [Memory(), Memory(0.2), Memory(0.2, 0.7), VaryingFrailty(0.7, 1.2, 0.3)]
+)
 def test_p_values_of_data_from_the_model_itself_are_uniform(memory):
     """300 data sets of 40 tracks, each with 199 draws of its own.
 
@@ -297,6 +301,24 @@ def test_fifty_tracks_tell_a_memory_time_of_a_fifth_of_a_second_from_independenc
     assert refused["memory"] < 5
 
 
+def test_copied_outcomes_that_outlive_what_is_hard_to_see_are_told_from_a_visibility():
+    """Cars that come close fast, P(missed) from .97 to .02 in 2 s: 10 data sets of 150 tracks of a
+    visibility refute copies with its own correlations at once, and itself at a rate of 5 %
+    (4 of 10 or more: 1e-3)."""
+    table, own = approaching(tracks=150, frames=20, seed=5)
+    law, random = VaryingFrailty(0.3, 2.0, 0.3), np.random.default_rng(29)
+    refused = {"memory": 0, "visibility": 0}
+    for outcomes in sample_outcomes(table, own, memory=law, samples=10, random=random):
+        check = check_tracks(
+            with_outcomes(table, outcomes), own, part=np.zeros(len(table), dtype=np.int64),
+            memories={"memory": [Memory(0.3, 0.3)], "visibility": [law]}, draws=799,
+        ).check  # fmt: skip
+        for variant in check.variants:
+            refused[variant.name] += bool(variant.refuted)
+    assert refused["memory"] == 10
+    assert refused["visibility"] < 4
+
+
 def test_nested_memories_are_the_peaks_of_their_part_of_the_surface():
     table, own = approaching(tracks=60, frames=25, sequences=4)
     outcomes = sample_outcomes(
@@ -330,6 +352,38 @@ def test_held_out_parts_are_checked_in_four_variants():
     assert check.variants[0].refuted
     assert not check.variants[1].refuted  # a right kind of model, at a rate of 5 % or less
     assert told[-1][0] == told[-1][1] == len(told) == 4 * 3
+
+
+def test_a_visibility_that_comes_and_goes_is_a_fifth_variant():
+    table, own = approaching(tracks=40, frames=20, sequences=4)
+    law, random = VaryingFrailty(0.5, 1.5, 0.4), np.random.default_rng(3)
+    [outcomes] = sample_outcomes(table, own, memory=law, samples=1, random=random)
+    table = with_outcomes(table, outcomes)
+    held_out = cross_fit(table, model="lr", folds=2)
+    laws = (VaryingFrailty(0.4, 1.4, 0.4), VaryingFrailty(0.6, 1.8, 0.6))
+    check = check_held_out(
+        table, held_out, memory_surface(table, held_out.logit), visibilities=laws, draws=799
+    ).check
+    *others, own_law = check.variants
+    assert (own_law.name, own_law.tau_s, own_law.frailty) == ("visibility", 0.0, 0.5)
+    assert (own_law.varying, own_law.varying_s) == (pytest.approx(1.6), 0.5)
+    assert not any(one.varying or one.varying_s for one in others)
+    said = verdict_lines(check)[-1]
+    assert said.startswith(
+        "With visibility that comes and goes (time-varying frailty 1.60 over 0.50 s, lasting "
+        "frailty 0.50) the model reproduces"
+    )
+    alone = check_held_out(table, held_out, memory_surface(table, held_out.logit), draws=799).check
+    assert alone.variants == tuple(others)  # each has random numbers of its own
+    assert check_from_mapping(json.loads(json.dumps(check_table(check))), where="card") == check
+
+
+def test_a_card_of_before_says_nothing_of_what_comes_and_goes():
+    table = check_table(made_check(CheckedVariant("both", 0.2, 0.5, ())))
+    for variant in table["variants"]:
+        del variant["varying"], variant["varying_s"]
+    [variant] = check_from_mapping(table, where="card").variants
+    assert (variant.varying, variant.varying_s) == (0.0, 0.0)
 
 
 def test_the_same_seed_gives_the_same_check():
@@ -489,6 +543,11 @@ def test_a_fitted_model_is_checked_with_what_its_card_knows():
     assert found["ml-nn"] == ["independent"]
     assert found["bare"] == ["independent", "both"]
     assert found["rrc"] == ["independent", "memory", "frailty", "both"]
+    law = VaryingFrailty(0.5, 1.5, 0.4)
+    varying = {"law": asdict(law), "nats": 0.2, "better_by": 0.1, "better_by_std_error": 0.1}
+    card = replace(shipped.card, memory={**shipped.card.memory, "varying": varying})
+    last = check_model(table, replace(shipped, card=card), draws=799).check.variants[-1]
+    assert (last.name, last.frailty, last.varying, last.varying_s) == ("visibility", 0.5, 1.5, 0.4)
 
 
 def test_every_quantity_has_words():

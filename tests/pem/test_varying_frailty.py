@@ -13,7 +13,13 @@ from scipy.special import logit as logit_of
 from scipy.stats import multivariate_normal, norm
 
 from pemviz.errors import PemError
-from pemviz.pem.fitting.varying_frailty import fit_varying_frailty, sequence_log_likelihoods
+from pemviz.pem.fitting.varying_frailty import (
+    fit_varying_frailty,
+    held_out_laws,
+    likeliest_law,
+    sequence_log_likelihoods,
+)
+from pemviz.pem.judging.memory_report import sample_outcomes
 from pemviz.pem.models.memory import Memory, VisibilityNodes, log_sums
 from pemviz.pem.models.varying_frailty import (
     NodeGrid,
@@ -33,17 +39,17 @@ CHAINS = np.array(list(itertools.product((False, True), repeat=OWN.size)))
 
 
 def sampled_misses(law, logit, *, step_s, random):
-    """Whether frames of chains ``[S, T]`` are missed, with the latents themselves sampled."""
+    """Whether frames of chains ``[S, T]`` are missed, each chain a track."""
     count, frames = logit.shape
-    lasting, slow = random.standard_normal((2, count))
-    middle, missed = norm.ppf(expit(-logit)) * law.scale, np.empty(logit.shape, dtype=np.bool_)
-    rho = np.exp(-step_s / law.varying_s)
-    for frame in range(frames):
-        if frame:
-            slow = rho * slow + np.sqrt(1.0 - rho**2) * random.standard_normal(count)
-        seen = middle[:, frame] + law.frailty * lasting + law.varying * slow
-        missed[:, frame] = random.standard_normal(count) < seen
-    return missed
+    table = table_of(
+        np.ones(logit.size),
+        sequence=np.zeros(logit.size),
+        track=np.repeat(np.arange(count), frames),
+        frame=np.tile(np.arange(frames), count),
+        rate_hz=1.0 / step_s,
+    )
+    outcomes = sample_outcomes(table, logit.ravel(), memory=law, samples=1, random=random)
+    return ~outcomes.reshape(logit.shape)
 
 
 def by_orthants(law, own, detected, *, step_s):
@@ -198,6 +204,25 @@ def test_a_law_is_found_again_and_told_from_copies():
     assert fit.better_by > 2 * fit.better_by_std_error > 0.0
     at_the_law = -sequence_log_likelihoods(tracks, own, law).sum() / len(tracks)
     assert fit.nats < at_the_law + 1e-4
+
+
+def test_parts_of_the_sequences_have_laws_of_the_others():
+    tracks, own = tracks_of(LAWS[0], tracks=60, frames=10, seed=8)
+    part, told = tracks.sequence % 2, []
+    laws = held_out_laws(
+        tracks, own, part=part, on_progress=lambda done, of_all: told.append((done, of_all))
+    )
+    others = [part != one for one in (0, 1)]
+    assert laws == tuple(likeliest_law(tracks.only(rows), own[rows]) for rows in others)
+    assert laws[0] != laws[1]
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_parts_without_a_track_of_two_frames_are_refused():
+    tracks, own = tracks_of(LAWS[0], tracks=40, frames=4, seed=9)
+    rows = (tracks.sequence == 0) | (tracks.frame == 0)
+    with pytest.raises(PemError, match="no obstacle is seen twice in the 1 other parts"):
+        held_out_laws(tracks.only(rows), own[rows], part=tracks.sequence[rows])
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pemviz.cli.pem.checks import (
     feature_names,
     tell_doubts,
 )
-from pemviz.cli.pem.memory import STATELESS, cross_fitted
+from pemviz.cli.pem.memory import STATELESS, cross_fitted, fitted_out_of_fold
 from pemviz.errors import PemError
 from pemviz.files.text_files import writing
 from pemviz.pem.data.columns import table_header
@@ -32,13 +32,14 @@ DEFAULT_KIND: ModelKind = "gb-raw"
 if TYPE_CHECKING:
     from pemviz.pem.judging.position_error_check import ErrorLaw
     from pemviz.pem.judging.predictive_check import Checked
+    from pemviz.pem.models.varying_frailty import VaryingFrailty
 
 PAGE = HelpPage(
     text="""
 usage: pemviz pem check --table tracks.csv [--model NAME | --pem FILE] [OPTIONS]
 Does an error model give tracks like those that were observed? How long they are
 missed, how often close by, from where on they are seen; independent, with a
-memory time, with a frailty, with both.
+memory time, a frailty, both.
 
 What is checked
   --table FILE           tracks of 'pemviz pem collect', or of your own
@@ -46,6 +47,7 @@ What is checked
                          model of the others (--folds 5)
   --pem FILE             or a fitted model, against tracks that it has not seen
   --position-errors FILE with --pem: also its errors of positions
+  --varying-frailty      with --model: also a visibility that comes and goes
   --rate-hz 10           frames a second, where the table does not tell
 How
   --draws 999            data sets drawn from each; --seed N
@@ -81,6 +83,9 @@ class CheckArguments:
     it; without, none is."""
     folds: int = 5
     """Parts of the sequences (2 or more); with model."""
+    varying_frailty: bool = False
+    """With model: also with a visibility that comes and goes, fitted out of fold, as of 'pemviz pem
+    fit'; a fitted model that carries one is checked with it. A minute and more."""
     rate_hz: float | None = None
     """Frames a second, where the table has no column rate_hz (above 0)."""
     draws: int = DRAWS
@@ -141,6 +146,9 @@ def _of_kind(arguments: CheckArguments) -> "Checked":
     held_out = cross_fitted(tracks, model=model, folds=arguments.folds, seed=arguments.seed)
     with progress_bar("memory of misses") as tell:
         surface = memory_surface(tracks, held_out.logit, on_progress=tell)
+    visibilities: tuple[VaryingFrailty, ...] = ()
+    if arguments.varying_frailty:
+        visibilities = fitted_out_of_fold(tracks, held_out)
     errors: ErrorLaw | None = None
     if _has_errors(arguments.table):
         table = load_error_csv(arguments.table, rate_hz=arguments.rate_hz)
@@ -148,8 +156,8 @@ def _of_kind(arguments: CheckArguments) -> "Checked":
             errors = cross_fitted_law(table, seed=arguments.seed, on_progress=tell)
     with progress_bar("data sets") as tell:
         return check_held_out(
-            tracks, held_out, surface, errors=errors, draws=arguments.draws, seed=arguments.seed,
-            on_progress=tell,
+            tracks, held_out, surface, visibilities=visibilities, errors=errors,
+            draws=arguments.draws, seed=arguments.seed, on_progress=tell,
         )  # fmt: skip
 
 
@@ -195,6 +203,8 @@ def _validate(arguments: CheckArguments) -> None:
         raise PemError("model: not with pem, which is fitted already; give one of them")
     if arguments.features and arguments.pem is not None:
         raise PemError("features: not with pem, which knows its own")
+    if arguments.varying_frailty and arguments.pem is not None:
+        raise PemError("varying_frailty: not with pem, which is checked with what it carries")
     if arguments.position_errors is not None and arguments.pem is None:
         raise PemError("position_errors: only with pem; with model they are fitted out of fold")
     if arguments.folds < 2:

@@ -22,6 +22,7 @@ from pemviz.cli.pem.checks import (
 from pemviz.cli.pem.evaluate import QUICK_MODELS
 from pemviz.cli.pem.memory import (
     cross_fitted,
+    fitted_out_of_fold,
     judged,
     memory_beside,
     memory_in_words,
@@ -192,10 +193,12 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     held_out = fits[_chosen(arguments.model, bce)]
     report = memory_beside(tracks, held_out, seed=arguments.seed, varying=arguments.varying_frailty)
     assert held_out.whole is not None  # noqa: S101  asked for above
+    visibilities = fitted_out_of_fold(tracks, held_out) if arguments.varying_frailty else ()
     with progress_bar("predictive checks") as tell:
         checked = check_held_out(
-            tracks, held_out, report.surface, seed=arguments.seed, on_progress=tell
-        )
+            tracks, held_out, report.surface, visibilities=visibilities,
+            seed=arguments.seed, on_progress=tell,
+        )  # fmt: skip
     pem = with_memory(
         held_out.whole, tracks, cross_fitted=held_out, report=report, check=checked.check
     )

@@ -29,6 +29,7 @@ from pemviz.processes import usable_cpus
 
 if TYPE_CHECKING:
     from pemviz.pem.judging.memory_report import CrossFitted, Fit
+    from pemviz.pem.models.varying_frailty import VaryingFrailty
 
 SMALL_P = 1e-4
 STATELESS: ModelKind = "guess-mu"
@@ -133,6 +134,14 @@ def memory_beside(
     with progress_bar("time-varying frailty") as tell:
         fit = fit_varying_frailty(tracks, held_out.logit, memory=memory, on_progress=tell)
     return replace(report, varying=fit)
+
+
+def fitted_out_of_fold(tracks: TrackTable, held_out: "CrossFitted") -> "tuple[VaryingFrailty, ...]":
+    """The time-varying frailty of each part of the sequences, with progress."""
+    from pemviz.pem.fitting.varying_frailty import held_out_laws  # noqa: PLC0415  scipy is slow
+
+    with progress_bar("time-varying frailty, parts") as tell:
+        return held_out_laws(tracks, held_out.logit, part=held_out.part, on_progress=tell)
 
 
 def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:

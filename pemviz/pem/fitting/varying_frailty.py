@@ -8,14 +8,17 @@ which law tells them better, and by how much more than sequences differ (Vuong 1
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from pemviz.arrays import FloatArray, IntArray
+from pemviz.errors import PemError
 from pemviz.pem.data.table import TrackTable
 from pemviz.pem.fitting.memory import check_fittable, log_likelihoods
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.varying_frailty import LARGEST, NodeGrid, VaryingFrailty, VaryingNodes
+from pemviz.processes import map_in_processes, usable_cpus
 
 GRID = NodeGrid(farthest=6.0, of_lasting=0.4, of_varying=0.8)
 """A likelihood is no tail: this is good for 1e-3 of its logarithm."""
@@ -33,6 +36,10 @@ NEARLY_NONE = 0.03
 Progress = Callable[[int, int], None]
 MOST = 200
 """Evaluations of the likelihood."""
+SAME_NATS = 1e-3
+"""Log likelihoods closer than this are equal: an interval of a parameter is some 2 wide."""
+STEP = 1e-2
+"""Of a logarithm of a parameter, for a slope: far above what another grid changes."""
 
 
 @dataclass(frozen=True)
@@ -71,27 +78,8 @@ def fit_varying_frailty(
     Raises:
         PemError: Fewer than two sequences, or no obstacle is seen twice.
     """
-    from scipy.optimize import minimize  # noqa: PLC0415  slow to import
-
     check_fittable(tracks)
-    done = 0
-
-    def rising(place: FloatArray) -> float:
-        nonlocal done
-        done += 1
-        if on_progress is not None:
-            on_progress(min(done, MOST), MOST)
-        return -float(sequence_log_likelihoods(tracks, logit, _law(place)).sum())
-
-    start = min(map(np.log, STARTS), key=rising)
-    options = {"maxfun": MOST, "ftol": 1e-7, "eps": 1e-3}
-    bounds = list(zip(LOW, HIGH, strict=True))
-    found = minimize(rising, start, method="L-BFGS-B", bounds=bounds, options=options)
-    law = _law(np.asarray(found.x))
-    if on_progress is not None:
-        on_progress(MOST, MOST)
-    if law.frailty < NEARLY_NONE:
-        law = VaryingFrailty(0.0, law.varying, law.varying_s)
+    law = likeliest_law(tracks, logit, on_progress=on_progress)
     own = sequence_log_likelihoods(tracks, logit, law)
     taus_s, frailties = np.array([memory.tau_s]), np.array([memory.frailty])
     copied = log_likelihoods(tracks, logit, taus_s=taus_s, frailties=frailties)[:, 0, 0]
@@ -103,6 +91,74 @@ def fit_varying_frailty(
         better_by=float(apart.sum()) / len(tracks),
         better_by_std_error=spread / len(tracks),
     )
+
+
+def held_out_laws(
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    part: IntArray,
+    on_progress: Progress | None = None,
+) -> tuple[VaryingFrailty, ...]:
+    """The law of each part of the sequences, fitted to the others, in processes.
+
+    Args:
+        tracks: n observations.
+        logit: As in :func:`fit_varying_frailty`.
+        part: Which part each observation is of ``[n]``; a sequence lies in one.
+        on_progress: Called with parts done and parts in all.
+
+    Raises:
+        PemError: No obstacle of the other parts is seen twice.
+        RunError: A process died.
+    """
+    parts, done = range(int(part.max()) + 1), 0
+
+    def tell(_: int) -> None:
+        nonlocal done
+        done += 1
+        if on_progress is not None:
+            on_progress(done, len(parts))
+
+    fit = partial(_law_without, tracks, logit, part)
+    return tuple(map_in_processes(fit, parts, workers=usable_cpus(), on_done=tell))
+
+
+def _law_without(
+    tracks: TrackTable, logit: FloatArray, part: IntArray, left_out: int
+) -> VaryingFrailty:
+    others = part != left_out
+    seen = tracks.only(others)
+    if not seen.follows.any():
+        raise PemError(f"no obstacle is seen twice in the {int(part.max())} other parts")
+    return likeliest_law(seen, logit[others])
+
+
+def likeliest_law(
+    tracks: TrackTable, logit: FloatArray, *, on_progress: Progress | None = None
+) -> VaryingFrailty:
+    """The law under which tracks are likeliest; see :func:`fit_varying_frailty`."""
+    from scipy.optimize import minimize  # noqa: PLC0415  slow to import
+
+    done = 0
+
+    def rising(place: FloatArray) -> float:
+        nonlocal done
+        done += 1
+        if on_progress is not None:
+            on_progress(min(done, MOST), MOST)
+        return -float(sequence_log_likelihoods(tracks, logit, _law(place)).sum())
+
+    start = min(map(np.log, STARTS), key=rising)
+    options = {"maxfun": MOST, "ftol": SAME_NATS / rising(start), "eps": STEP}
+    bounds = list(zip(LOW, HIGH, strict=True))
+    found = minimize(rising, start, method="L-BFGS-B", bounds=bounds, options=options)
+    law = _law(np.asarray(found.x))
+    if on_progress is not None:
+        on_progress(MOST, MOST)
+    if law.frailty < NEARLY_NONE:
+        law = VaryingFrailty(0.0, law.varying, law.varying_s)
+    return law
 
 
 def _law(place: FloatArray) -> VaryingFrailty:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.colors import BLACK, GREY, ORANGE, SKY, VERMILLION
+from pemviz.colors import BLACK, GREEN, GREY, ORANGE, SKY, VERMILLION
 from pemviz.pem.judging.predictive_check import CURVE_MISSES, CURVE_S, Checked
 from pemviz.pem.models.predictive_check import (
     AFTER_HIT,
@@ -41,6 +41,7 @@ STYLES: dict[Variant, Style] = {
     "memory": Style(SKY, "--", "^"),
     "frailty": Style(ORANGE, "-.", "v"),
     "both": Style(VERMILLION, "-", "D"),
+    "visibility": Style(GREEN, "--", "P"),
 }
 
 

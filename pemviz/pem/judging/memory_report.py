@@ -28,6 +28,7 @@ from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.predictive_check import DISTANCE_BANDS_M, ModelCheck, check_table
 from pemviz.pem.models.protocol import COLUMN, OCCLUSION_NAMES
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.processes import map_in_processes
 
 if TYPE_CHECKING:
@@ -126,14 +127,16 @@ def sample_outcomes(
     tracks: TrackTable,
     logit: FloatArray,
     *,
-    memory: Memory,
+    memory: Memory | VaryingFrailty,
     samples: int,
     random: np.random.Generator,
 ) -> BoolArray:
     """Outcomes ``[samples, n]`` (true: detected) of the same tracks, drawn from the model.
 
-    A sample is the same however many others are drawn after it.
+    ``memory`` is either law of misses. A sample is the same however many others are drawn after it.
     """
+    if isinstance(memory, VaryingFrailty):
+        return _with_visibility(tracks, logit, law=memory, samples=samples, random=random)
     obstacles, frailty = int(tracks.track.max()) + 1, memory.frailty
     # the law of P(missed), not of its logit: nothing here needs its small digits
     quantile = memory_law.miss_quantile(logit) * np.sqrt(1.0 + frailty**2)
@@ -153,6 +156,30 @@ def sample_outcomes(
         missed = fresh + (before - fresh) * rho[rows]
         detected[:, rows] = uniforms[:, rows] < 1.0 - missed
     return detected
+
+
+def _with_visibility(
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    law: VaryingFrailty,
+    samples: int,
+    random: np.random.Generator,
+) -> BoolArray:
+    """The same, with the latents of :mod:`pemviz.pem.models.varying_frailty` sampled themselves."""
+    obstacles = int(tracks.track.max()) + 1
+    lasting = np.empty((samples, len(tracks)))
+    steps, white = np.empty_like(lasting), np.empty_like(lasting)
+    for sample in range(samples):
+        lasting[sample] = random.standard_normal(obstacles)[tracks.track]
+        steps[sample], white[sample] = random.standard_normal((2, len(tracks)))
+    varying = np.empty_like(lasting)
+    rho = memory_law.persistence(tracks.since_s, law.varying_s)
+    for place, rows in enumerate(tracks.by_place):
+        before = varying[:, rows - 1] if place else 0.0
+        varying[:, rows] = rho[rows] * before + np.sqrt(1.0 - rho[rows] ** 2) * steps[:, rows]
+    middle = memory_law.miss_quantile(logit) * law.scale
+    return white >= middle + law.frailty * lasting + law.varying * varying
 
 
 def residual_correlation(

@@ -16,7 +16,7 @@ Quantities, of n outcomes in tracks:
 - Misses after a hit and after a miss: shares of the observations whose track's one before was such.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +32,7 @@ from pemviz.pem.data.table import TrackTable
 from pemviz.pem.fitting.memory import nested_memories
 from pemviz.pem.judging.memory_report import CrossFitted, sample_outcomes
 from pemviz.pem.judging.position_error_check import ErrorLaw
-from pemviz.pem.models.cards import PemCard, memory_of
+from pemviz.pem.models.cards import PemCard, memory_of, varying_frailty_of
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.predictive_check import (
     AFTER_HIT,
@@ -52,6 +52,7 @@ from pemviz.pem.models.predictive_check import (
     check_from_mapping,
 )
 from pemviz.pem.models.protocol import COLUMN, Pem
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.processes import usable_cpus
 
 APPROACH_M = 5.0
@@ -67,6 +68,8 @@ CURVE_MISSES = np.arange(1.0, 41.0)
 
 Key = TypeVar("Key")
 Progress = Callable[[int, int], None]
+Law = Memory | VaryingFrailty
+"""Of how misses hang together."""
 Values = dict[QuantityName, FloatArray]
 Curves = dict[Literal["runs", "misses"], FloatArray]
 
@@ -233,7 +236,7 @@ def check_tracks(
     logit: FloatArray,
     *,
     part: IntArray,
-    memories: Mapping[Variant, Sequence[Memory]],
+    memories: Mapping[Variant, Sequence[Law]],
     errors: ErrorLaw | None = None,
     folds: int = 0,
     same_data: bool = False,
@@ -247,7 +250,7 @@ def check_tracks(
         tracks: n observations.
         logit: Logits of P(detected | state) ``[n]``.
         part: Which part of the sequences each observation is of ``[n]``, counted from 0.
-        memories: By variant the memory of each part.
+        memories: By variant the law of misses of each part.
         errors: Law of the position errors, and those that were observed; ``None`` without.
         folds: As in :class:`ModelCheck`, and the next one.
         same_data: Likewise.
@@ -303,28 +306,49 @@ def check_tracks(
         folds=folds,
         same_data=same_data,
         variants=tuple(
-            CheckedVariant(
-                name=variant,
-                tau_s=float(np.median([one.tau_s for one in memories[variant]])),
-                frailty=float(np.median([one.frailty for one in memories[variant]])),
-                quantities=compare(observed.values, drawn[variant].values),
-            )
-            for variant in memories
+            _variant(variant, laws, compare(observed.values, drawn[variant].values))
+            for variant, laws in memories.items()
         ),
     )
     return Checked(check, observed, drawn)
 
 
+def _variant(
+    name: Variant, laws: Sequence[Law], quantities: tuple[CheckedQuantity, ...]
+) -> CheckedVariant:
+    """With the medians of what the parts' laws say."""
+
+    def median(values: Iterable[float]) -> float:
+        return float(np.median(list(values)))
+
+    frailty = median(law.frailty for law in laws)
+    visibilities = [law for law in laws if isinstance(law, VaryingFrailty)]
+    if visibilities:
+        return CheckedVariant(
+            name, 0.0, frailty, quantities,
+            varying=median(law.varying for law in visibilities),
+            varying_s=median(law.varying_s for law in visibilities),
+        )  # fmt: skip
+    tau_s = median(law.tau_s for law in laws if isinstance(law, Memory))
+    return CheckedVariant(name, tau_s, frailty, quantities)
+
+
 def held_out_memories(
-    tracks: TrackTable, surface: FloatArray, *, part: IntArray
-) -> dict[Variant, tuple[Memory, ...]]:
-    """Each variant's memory of each part, fitted to the sequences of the others.
+    tracks: TrackTable,
+    surface: FloatArray,
+    *,
+    part: IntArray,
+    visibilities: Sequence[VaryingFrailty] = (),
+) -> dict[Variant, tuple[Law, ...]]:
+    """Each variant's law of misses of each part, fitted to the sequences of the others.
 
     Args:
         tracks: n observations.
         surface: Log likelihoods of the sequences, as
             :func:`pemviz.pem.fitting.memory.memory_surface` gives them.
         part: Which part each observation is of ``[n]``; a sequence lies in one.
+        visibilities: As :func:`pemviz.pem.fitting.varying_frailty.held_out_laws` gives them; a
+            variant of its own, if there are any.
     """
     first_rows = np.unique(tracks.sequence, return_index=True)[1]
     of_sequence = part[first_rows]
@@ -332,11 +356,16 @@ def held_out_memories(
     fitted = [nested_memories(surface[of_sequence != each].sum(axis=0)) for each in parts]
     memory, frailty, both = zip(*fitted, strict=True)
     independent = tuple(Memory() for _ in parts)
-    return {"independent": independent, "memory": memory, "frailty": frailty, "both": both}
+    found: dict[Variant, tuple[Law, ...]] = {
+        "independent": independent, "memory": memory, "frailty": frailty, "both": both,
+    }  # fmt: skip
+    if visibilities:
+        found["visibility"] = tuple(visibilities)
+    return found
 
 
-def own_memories(pem: Pem) -> dict[Variant, tuple[Memory, ...]]:
-    """The memories of a model's variants, for tracks of one part.
+def own_memories(pem: Pem) -> dict[Variant, tuple[Law, ...]]:
+    """The laws of misses of a model's variants, for tracks of one part.
 
     Independent, and what it carries; on a card with a check stand a memory time and a frailty
     alone, too.
@@ -344,7 +373,7 @@ def own_memories(pem: Pem) -> dict[Variant, tuple[Memory, ...]]:
     Raises:
         PemError: The card is damaged.
     """
-    found: dict[Variant, tuple[Memory, ...]] = {"independent": (Memory(),)}
+    found: dict[Variant, tuple[Law, ...]] = {"independent": (Memory(),)}
     card: object = getattr(pem, "card", None)
     own = memory_of(pem)
     if isinstance(card, PemCard) and own is not None:
@@ -354,6 +383,8 @@ def own_memories(pem: Pem) -> dict[Variant, tuple[Memory, ...]]:
                 found[one.name] = (Memory(tau_s=one.tau_s, frailty=one.frailty),)
     if own is not None:
         found["both"] = (own,)
+    if (visibility := varying_frailty_of(pem)) is not None:
+        found["visibility"] = (visibility,)
     return found
 
 
@@ -390,6 +421,7 @@ def check_held_out(
     held_out: CrossFitted,
     surface: FloatArray,
     *,
+    visibilities: Sequence[VaryingFrailty] = (),
     errors: ErrorLaw | None = None,
     draws: int = DRAWS,
     seed: int = 0,
@@ -397,13 +429,14 @@ def check_held_out(
 ) -> Checked:
     """Check a kind of model whose every part of the sequences is told by the others'.
 
-    See :func:`check_tracks`; ``surface`` as in :func:`held_out_memories`.
+    See :func:`check_tracks`; ``surface`` and ``visibilities`` as in :func:`held_out_memories`.
     """
+    part = held_out.part
     return check_tracks(
         tracks,
         held_out.logit,
-        part=held_out.part,
-        memories=held_out_memories(tracks, surface, part=held_out.part),
+        part=part,
+        memories=held_out_memories(tracks, surface, part=part, visibilities=visibilities),
         errors=errors,
         folds=held_out.folds,
         draws=draws,
@@ -420,7 +453,7 @@ def _draws(
     tracks: TrackTable,
     logit: FloatArray,
     part: IntArray,
-    memories: Sequence[Memory],
+    memories: Sequence[Law],
     *,
     sizes: Sequence[int],
     root: np.random.SeedSequence,

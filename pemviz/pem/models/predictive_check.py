@@ -2,9 +2,10 @@
 
 A model is checked by what decides a violation: how long a track is missed, how often close by, from
 where on it is seen. For each quantity stands what was observed beside what the model itself draws
-along the same tracks (Gelman, Meng & Stern 1996, Statistica Sinica 6:733), in up to four variants:
-the model as it is, with a memory time, with a frailty, and with both. The quantities of a variant
-share one false-alarm rate (Holm 1979, Scandinavian Journal of Statistics 6:65).
+along the same tracks (Gelman, Meng & Stern 1996, Statistica Sinica 6:733), in up to five variants:
+the model as it is, with a memory time, with a frailty, with both, and with a visibility that comes
+and goes. The quantities of a variant share one false-alarm rate (Holm 1979, Scandinavian Journal of
+Statistics 6:65).
 
 A card keeps this as JSON; who reads it back gets these types.
 """
@@ -18,18 +19,20 @@ from pemviz.config.ranges import AtLeastZero, Count, Share
 from pemviz.config.records import read_record
 from pemviz.errors import InputError, PemError
 
-Variant = Literal["independent", "memory", "frailty", "both"]
+Variant = Literal["independent", "memory", "frailty", "both", "visibility"]
 VARIANT_WORDS: Mapping[Variant, str] = {
     "independent": "as it is",
     "memory": "with memory",
     "frailty": "with frailty",
     "both": "with both",
+    "visibility": "with visibility",
 }
 ANSWER_WORDS: Mapping[Variant, str] = {
     "independent": "with misses independent",
     "memory": "with a memory time alone",
     "frailty": "with a frailty alone",
     "both": "with its memory time and frailty",
+    "visibility": "with its visibility that comes and goes",
 }
 DISTANCE_BANDS_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 200.0))
 QuantityName = Literal[
@@ -176,14 +179,18 @@ class CheckedVariant:
     Attributes:
         name: Which variant.
         tau_s: Memory time [s]; where parts of the sequences had one each, their median.
-        frailty: Likewise.
+        frailty: Likewise; of a visibility that comes and goes, the part that lasts.
         quantities: What was compared.
+        varying: Of such a visibility, the part that comes and goes; 0: there is none.
+        varying_s: Its correlation time [s].
     """
 
     name: Variant
     tau_s: AtLeastZero
     frailty: AtLeastZero
     quantities: tuple[CheckedQuantity, ...]
+    varying: AtLeastZero = 0.0
+    varying_s: AtLeastZero = 0.0
 
     @property
     def refuted(self) -> tuple[CheckedQuantity, ...]:
@@ -356,7 +363,10 @@ def verdict_lines(check: ModelCheck) -> list[str]:
 
 def _verdict(variant: CheckedVariant) -> str:
     name = VARIANT_WORDS[variant.name]
-    if variant.name != "independent":
+    if variant.varying:
+        comes = f"time-varying frailty {variant.varying:.2f} over {variant.varying_s:.2f} s"
+        name += f" that comes and goes ({comes}, lasting frailty {variant.frailty:.2f})"
+    elif variant.name != "independent":
         name += f" (memory time {variant.tau_s:.2f} s, frailty {variant.frailty:.2f})"
     count, wrong = len(variant.quantities), variant.refuted
     said = f"{name[0].upper()}{name[1:]} the model reproduces"
