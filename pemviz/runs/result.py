@@ -151,6 +151,8 @@ class RunMemory:
         unmeasured: Why there is none of these; empty where there is, and in older results.
         check: What predictive checks found of the error model with this memory; without a variant
             where they looked at others alone, ``None`` where the model was not checked.
+        left_out: Label of the visibility that comes and goes which the model carries and the answer
+            is not for; empty if there is none.
     """
 
     tau_s: AtLeastZero
@@ -162,6 +164,7 @@ class RunMemory:
     measured: tuple[MeasuredAnswer, ...] = ()
     unmeasured: str = ""
     check: ModelCheck | None = None
+    left_out: str = ""
 
     @property
     def is_independent(self) -> bool:
@@ -194,8 +197,9 @@ def memory_of(pem: Pem) -> RunMemory:
         frailty_low=low,
         frailty_high=high,
     )
-    run = replace(run, fitted=fitted)
     comes = property_in(properties, VaryingVisibility)
+    left_out = own.varying.label if own.varying is not None and comes is None else ""
+    run = replace(run, fitted=fitted, left_out=left_out)
     is_own = comes is not None and len(hidden) == 1 and comes.law == own.varying
     return replace(run, check=_own_check(single, "visibility" if is_own else _variant_of(run)))
 

@@ -219,13 +219,14 @@ def _model_classes(result: RunResult) -> UncertaintySource:
 def _memory(memory: RunMemory, *, option: str) -> UncertaintySource:
     points = (*memory.curve, *memory.frailty_curve, *(one.point for one in memory.measured))
     low, high = ends_of(points)
+    narrows = "tracked video of this detector" if points else option
     return UncertaintySource(
         kind="memory",
         name=f"memory of misses, {_memory_words(memory)}",
         low=low,
         high=high,
-        note="",
-        narrowed_by="tracked video of this detector" if points else option,
+        note=f"without the model's other law: {memory.left_out}" if memory.left_out else "",
+        narrowed_by="a run with --memory-law visibility beside" if memory.left_out else narrows,
     )
 
 

@@ -20,6 +20,7 @@ from pemviz.pem.models.predictive_check import (
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
 from pemviz.reports.html import sections_html
 from pemviz.reports.markdown import summary_markdown
+from pemviz.reports.memory_words import memory_text
 from pemviz.reports.run_document import run_document
 from pemviz.reports.terminal import summary_text
 from pemviz.runs.experiment import build_experiment
@@ -128,6 +129,12 @@ def test_a_visibility_that_comes_and_goes_is_checked_and_told_of_in_an_answer(tm
     own = replace(ExperimentConfig(), pem=str(model), memory_law="visibility")
     shown = memory_of(build_experiment(own).pem).check
     assert [one.name for one in shown.variants] == ["visibility"]
+    copied = memory_of(build_experiment(replace(own, memory_law="outcomes")).pem)
+    assert [one.name for one in copied.check.variants] == ["both"]
+    told = replace(made_up_result(), memory=copied)
+    assert f"its other law, {law.label}, is left out" in memory_text(told)
+    assert f"without the model's other law: {law.label}" in summary_markdown(told)
+    assert memory_of(build_experiment(own).pem).left_out == ""
     other = replace(own, frailty=0.5, varying_frailty=0.7, varying_frailty_s=0.2)
     assert memory_of(build_experiment(other).pem).check.variants == ()
 

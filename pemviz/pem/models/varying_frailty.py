@@ -73,6 +73,12 @@ class VaryingFrailty:
             raise PemError(f"varying_frailty_s is {self.varying_s:g}, allowed: {allowed}")
 
     @property
+    def label(self) -> str:
+        """What lasts and what comes and goes, in words."""
+        varying = f"time-varying frailty {self.varying:.3g} ({self.varying_s:.3g} s)"
+        return f"frailty {self.frailty:.3g} and {varying}" if self.frailty else varying
+
+    @property
     def scale(self) -> float:
         """Standard deviation of the latent, where e has 1."""
         return math.sqrt(1.0 + self.frailty**2 + self.varying**2)

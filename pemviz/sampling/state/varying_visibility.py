@@ -40,8 +40,7 @@ class VaryingVisibility(FilteredVisibility):
     @property
     def label(self) -> str:
         """What varies, by how much."""
-        varying = f"time-varying frailty {self.law.varying:.3g} ({self.law.varying_s:.3g} s)"
-        return f"frailty {self.law.frailty:.3g} and {varying}" if self.law.frailty else varying
+        return self.law.label
 
     @cached_property
     def nodes(self) -> VaryingNodes:
