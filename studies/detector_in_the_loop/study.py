@@ -315,7 +315,8 @@ def predictions(
     """
     the_detector(folder, effort, tell)
     chosen = [setting for setting in SETTINGS if setting.name in names]
-    domains = list(dict.fromkeys(setting.domain_name for setting in chosen))
+    # the last domain has most kinds of light and weather, and takes longest
+    domains = list(dict.fromkeys(setting.domain_name for setting in reversed(chosen)))
     groups = [[one for one in chosen if one.domain_name == domain] for domain in domains]
     rows = in_processes(partial(_predictions_of, folder, effort, tell, fine), groups)
     place = {setting.name: number for number, setting in enumerate(SETTINGS)}
