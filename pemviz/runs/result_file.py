@@ -181,7 +181,7 @@ def result_document(result: RunResult) -> Table:
         "memory": (
             None
             if result.memory is None
-            else _without(_fields_of(result.memory), "measured", "unmeasured", "check")
+            else _without(_fields_of(result.memory), "measured", "unmeasured", "check", "left_out")
         ),
         **_unless_empty(
             latents=result.latents, position_errors=result.position_errors, starts=result.starts

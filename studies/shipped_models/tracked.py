@@ -122,7 +122,7 @@ def run(arguments: ShipTrackedArguments) -> int:
         print(f"{name}: time-varying frailty", file=sys.stderr)
         varying = fit_varying_frailty(tracks, held_out.logit, memory=report.fit.memory)
         report = replace(report, varying=varying)
-        visibilities = held_out_laws(tracks, held_out.logit, part=held_out.part)
+        visibilities = held_out_laws(tracks, held_out.logit, part=held_out.part, start=varying.law)
         provenance = provenance_of(detector, tracks)
         whole = fit_pem(tracks.obstacles, model=KIND, name=name, provenance=provenance)
         print(f"{name}: predictive checks", file=sys.stderr)

@@ -38,6 +38,7 @@ from pemviz.pem.fitting.position_errors import TailChoice
 from pemviz.pem.model_files import ENSEMBLE_ENDING, SUFFIX, StoredPem, save_pem
 from pemviz.pem.models.cards import UNKNOWN_LICENCE, card_markdown
 from pemviz.pem.models.predictive_check import verdict_lines
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.processes import usable_cpus
 
 PAGE = HelpPage(
@@ -193,7 +194,9 @@ def _fit_with_memory(arguments: FitArguments) -> int:
     held_out = fits[_chosen(arguments.model, bce)]
     report = memory_beside(tracks, held_out, seed=arguments.seed, varying=arguments.varying_frailty)
     assert held_out.whole is not None  # noqa: S101  asked for above
-    visibilities = fitted_out_of_fold(tracks, held_out) if arguments.varying_frailty else ()
+    visibilities: tuple[VaryingFrailty, ...] = ()
+    if report.varying is not None:
+        visibilities = fitted_out_of_fold(tracks, held_out, start=report.varying.law)
     with progress_bar("predictive checks") as tell:
         checked = check_held_out(
             tracks, held_out, report.surface, visibilities=visibilities,

@@ -136,12 +136,16 @@ def memory_beside(
     return replace(report, varying=fit)
 
 
-def fitted_out_of_fold(tracks: TrackTable, held_out: "CrossFitted") -> "tuple[VaryingFrailty, ...]":
-    """The time-varying frailty of each part of the sequences, with progress."""
+def fitted_out_of_fold(
+    tracks: TrackTable, held_out: "CrossFitted", *, start: "VaryingFrailty | None" = None
+) -> "tuple[VaryingFrailty, ...]":
+    """The time-varying frailty of each part of the sequences, sought from one on; with progress."""
     from pemviz.pem.fitting.varying_frailty import held_out_laws  # noqa: PLC0415  scipy is slow
 
     with progress_bar("time-varying frailty, parts") as tell:
-        return held_out_laws(tracks, held_out.logit, part=held_out.part, on_progress=tell)
+        return held_out_laws(
+            tracks, held_out.logit, part=held_out.part, start=start, on_progress=tell
+        )
 
 
 def judged(tracks: TrackTable, held_out: "CrossFitted", report: MemoryReport) -> IndependenceCheck:

@@ -98,6 +98,7 @@ def held_out_laws(
     logit: FloatArray,
     *,
     part: IntArray,
+    start: VaryingFrailty | None = None,
     on_progress: Progress | None = None,
 ) -> tuple[VaryingFrailty, ...]:
     """The law of each part of the sequences, fitted to the others, in processes.
@@ -106,6 +107,7 @@ def held_out_laws(
         tracks: n observations.
         logit: As in :func:`fit_varying_frailty`.
         part: Which part each observation is of ``[n]``; a sequence lies in one.
+        start: Where the search begins, such as the law of all; it takes a third of the time then.
         on_progress: Called with parts done and parts in all.
 
     Raises:
@@ -120,24 +122,35 @@ def held_out_laws(
         if on_progress is not None:
             on_progress(done, len(parts))
 
-    fit = partial(_law_without, tracks, logit, part)
+    fit = partial(_law_without, tracks, logit, part, start=start)
     return tuple(map_in_processes(fit, parts, workers=usable_cpus(), on_done=tell))
 
 
 def _law_without(
-    tracks: TrackTable, logit: FloatArray, part: IntArray, left_out: int
+    tracks: TrackTable,
+    logit: FloatArray,
+    part: IntArray,
+    left_out: int,
+    start: VaryingFrailty | None = None,
 ) -> VaryingFrailty:
     others = part != left_out
     seen = tracks.only(others)
     if not seen.follows.any():
         raise PemError(f"no obstacle is seen twice in the {int(part.max())} other parts")
-    return likeliest_law(seen, logit[others])
+    return likeliest_law(seen, logit[others], start=start)
 
 
 def likeliest_law(
-    tracks: TrackTable, logit: FloatArray, *, on_progress: Progress | None = None
+    tracks: TrackTable,
+    logit: FloatArray,
+    *,
+    start: VaryingFrailty | None = None,
+    on_progress: Progress | None = None,
 ) -> VaryingFrailty:
-    """The law under which tracks are likeliest; see :func:`fit_varying_frailty`."""
+    """The law under which tracks are likeliest, sought from ``start`` on.
+
+    The rest is as of :func:`fit_varying_frailty`.
+    """
     from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
     done = 0
@@ -149,10 +162,11 @@ def likeliest_law(
             on_progress(min(done, MOST), MOST)
         return -float(sequence_log_likelihoods(tracks, logit, _law(place)).sum())
 
-    start = min(map(np.log, STARTS), key=rising)
-    options = {"maxfun": MOST, "ftol": SAME_NATS / rising(start), "eps": STEP}
+    starts = STARTS if start is None else [(start.frailty, start.varying, start.varying_s)]
+    begin = min((np.log(np.maximum(one, NEARLY_NONE)) for one in starts), key=rising)
+    options = {"maxfun": MOST, "ftol": SAME_NATS / rising(begin), "eps": STEP}
     bounds = list(zip(LOW, HIGH, strict=True))
-    found = minimize(rising, start, method="L-BFGS-B", bounds=bounds, options=options)
+    found = minimize(rising, begin, method="L-BFGS-B", bounds=bounds, options=options)
     law = _law(np.asarray(found.x))
     if on_progress is not None:
         on_progress(MOST, MOST)
