@@ -216,6 +216,13 @@ def test_parts_of_the_sequences_have_laws_of_the_others():
     assert laws == tuple(likeliest_law(tracks.only(rows), own[rows]) for rows in others)
     assert laws[0] != laws[1]
     assert told == [(1, 2), (2, 2)]
+    begun = held_out_laws(tracks, own, part=part, start=VaryingFrailty(0.0, 2.0, 0.5))
+    for rows, law, other in zip(others, laws, begun, strict=True):
+        ends = [
+            sequence_log_likelihoods(tracks.only(rows), own[rows], one).sum()
+            for one in (law, other)
+        ]
+        assert ends[1] == pytest.approx(ends[0], abs=0.1)  # wherever the search begins
 
 
 def test_parts_without_a_track_of_two_frames_are_refused():

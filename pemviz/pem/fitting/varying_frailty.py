@@ -30,6 +30,8 @@ LOW, HIGH = np.log([0.02, 0.05, 0.02]), np.log([4.0, LARGEST, 8.0])
 """Of f, g and tau [s]."""
 STARTS = ((0.7, 1.0, 0.2), (0.7, 1.0, 1.0), (0.7, 2.5, 0.2), (0.7, 2.5, 1.0))
 """The likeliest of these is where the search begins."""
+LEAST_START = (0.3, 0.3, 0.05)
+"""Near 0 a spread's logarithm has no slope, and a search would stay there."""
 NEARLY_NONE = 0.03
 """A frailty below this is taken for none."""
 
@@ -163,7 +165,7 @@ def likeliest_law(
         return -float(sequence_log_likelihoods(tracks, logit, _law(place)).sum())
 
     starts = STARTS if start is None else [(start.frailty, start.varying, start.varying_s)]
-    begin = min((np.log(np.maximum(one, NEARLY_NONE)) for one in starts), key=rising)
+    begin = min((np.log(np.maximum(one, LEAST_START)) for one in starts), key=rising)
     options = {"maxfun": MOST, "ftol": SAME_NATS / rising(begin), "eps": STEP}
     bounds = list(zip(LOW, HIGH, strict=True))
     found = minimize(rising, begin, method="L-BFGS-B", bounds=bounds, options=options)
