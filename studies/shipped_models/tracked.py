@@ -6,7 +6,7 @@ and from a detector's published output on them. Seed 0, taken as it came.
 
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,6 @@ from pemviz.pem.data.collect import CollectOptions, collect_tracks
 from pemviz.pem.data.detections import SequenceFormat
 from pemviz.pem.data.table import TrackTable, load_tracks
 from pemviz.pem.fitting.fit import ModelKind, Provenance, fit_pem
-from pemviz.pem.fitting.varying_frailty import fit_varying_frailty, held_out_laws
 from pemviz.pem.judging.memory_report import cross_fit, fit_report, memory_line, with_memory
 from pemviz.pem.judging.predictive_check import check_held_out
 from pemviz.pem.model_files import ASSET_FOLDER, SUFFIX, save_pem
@@ -119,20 +118,15 @@ def run(arguments: ShipTrackedArguments) -> int:
         held_out = cross_fit(tracks, model=KIND)
         print(f"{name}: memory", file=sys.stderr)
         report = fit_report(tracks, held_out)
-        print(f"{name}: time-varying frailty", file=sys.stderr)
-        varying = fit_varying_frailty(tracks, held_out.logit, memory=report.fit.memory)
-        report = replace(report, varying=varying)
-        visibilities = held_out_laws(tracks, held_out.logit, part=held_out.part, start=varying.law)
         provenance = provenance_of(detector, tracks)
         whole = fit_pem(tracks.obstacles, model=KIND, name=name, provenance=provenance)
         print(f"{name}: predictive checks", file=sys.stderr)
-        checked = check_held_out(tracks, held_out, report.surface, visibilities=visibilities)
         pem = with_memory(
             whole,
             tracks,
             cross_fitted=held_out,
             report=report,
-            check=checked.check,
+            check=check_held_out(tracks, held_out, report.surface).check,
             flattery=FLATTERY,
         )
         save_pem(pem, folder / f"{name}{SUFFIX}")
