@@ -38,10 +38,11 @@ NEARLY_NONE = 0.03
 Progress = Callable[[int, int], None]
 MOST = 200
 """Evaluations of the likelihood."""
-SAME_NATS = 1e-3
-"""Log likelihoods closer than this are equal: an interval of a parameter is some 2 wide."""
-STEP = 1e-2
-"""Of a logarithm of a parameter, for a slope: far above what another grid changes."""
+FAR, NEAR = 0.7, 0.2
+"""How far a search looks at first, in logarithms of the parameters: from one of ``STARTS``, or from
+the law of nearly the same tracks."""
+FOUND = 0.04
+"""How far at last: no tracks tell a parameter that well."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +167,11 @@ def likeliest_law(
 
     starts = STARTS if start is None else [(start.frailty, start.varying, start.varying_s)]
     begin = min((np.log(np.maximum(one, LEAST_START)) for one in starts), key=rising)
-    options = {"maxfun": MOST, "ftol": SAME_NATS / rising(begin), "eps": STEP}
+    radius = FAR if start is None else NEAR
+    options = {"maxfev": MOST, "initial_tr_radius": radius, "final_tr_radius": FOUND}
     bounds = list(zip(LOW, HIGH, strict=True))
-    found = minimize(rising, begin, method="L-BFGS-B", bounds=bounds, options=options)
+    # by values alone: a slope would cost three of them, and the ridge is long
+    found = minimize(rising, begin, method="COBYQA", bounds=bounds, options=options)
     law = _law(np.asarray(found.x))
     if on_progress is not None:
         on_progress(MOST, MOST)
