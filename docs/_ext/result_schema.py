@@ -32,7 +32,7 @@ NOTHING = re.compile(r"\bNone\b")
 SHA_256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 TEXT = {"type": "string"}
 OPTIONAL: Mapping[type, frozenset[str]] = {
-    RunMemory: frozenset({"measured", "unmeasured", "check", "left_out"}),
+    RunMemory: frozenset({"measured", "unmeasured", "check", "visibility", "carried"}),
     RankedRollout: frozenset({"broken"}),
     RuleAnswer: frozenset({"measured"}),
 }

@@ -12,7 +12,7 @@ from pemviz.pem.models.predictive_check import check_line
 from pemviz.reports.document import Table
 from pemviz.reports.estimate_words import end_text, range_text
 from pemviz.runs.result import RunMemory, RunResult
-from pemviz.runs.uncertainty import memory_option
+from pemviz.runs.uncertainty import memory_option, visibility_option
 from pemviz.sampling.bursts.curve import (
     ALIKE_S,
     MEASURED,
@@ -245,16 +245,20 @@ def memory_text(result: RunResult) -> str:
         how = "hanging together by" if memory.hidden else "in bursts,"
         assumed = f"{how} {' and '.join([*parts, *memory.hidden])}"
     own = None if memory is None else memory.fitted
-    if memory is None or own is None:
-        return assumed
     other = ""
-    if memory.left_out:
-        other = f"; its other law, {memory.left_out}, is left out: --memory-law visibility has it"
+    if memory is not None and memory.left_out:
+        other = f"; its other law, {memory.left_out}, is left out"
+        if option := visibility_option(result):
+            other += f": {option} has it"
+    if memory is None or own is None:
+        return f"{assumed}{other}"
     measured = f"{own.tau_s:.2g} s ({own.low_s:.2g} to {own.high_s:.2g})"
     if own.frailty is not None:
         measured += f", frailty {own.frailty:.2g}"
         if own.frailty_low is not None and own.frailty_high is not None:
             measured += f" ({own.frailty_low:.2g} to {own.frailty_high:.2g})"
+    if memory.is_own_visibility:
+        return f"{assumed}: the error model's own, measured on video; by its other law {measured}"
     if memory.is_own:
         return f"{assumed}: the error model's own, measured on video: {measured}{other}"
     return f"{assumed}; not the error model's own, which was measured on video: {measured}{other}"

@@ -17,7 +17,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.config.ranges import AtLeastZero, Confidence, Count, Log10, Range, Share
 from pemviz.latents import LatentCounts
 from pemviz.pem import Pem
-from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory
+from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory, varying_frailty_of
 from pemviz.pem.models.predictive_check import ModelCheck, Variant, check_from_mapping
 from pemviz.sampling.bursts.curve import CurvePoint
 from pemviz.sampling.slots import single_model
@@ -151,8 +151,9 @@ class RunMemory:
         unmeasured: Why there is none of these; empty where there is, and in older results.
         check: What predictive checks found of the error model with this memory; without a variant
             where they looked at others alone, ``None`` where the model was not checked.
-        left_out: Label of the visibility that comes and goes which the model carries and the answer
-            is not for; empty if there is none.
+        visibility: Label of the visibility that comes and goes which the answer is for, one of
+            ``hidden``; empty without.
+        carried: Likewise of that which the error model carries.
     """
 
     tau_s: AtLeastZero
@@ -164,7 +165,8 @@ class RunMemory:
     measured: tuple[MeasuredAnswer, ...] = ()
     unmeasured: str = ""
     check: ModelCheck | None = None
-    left_out: str = ""
+    visibility: str = ""
+    carried: str = ""
 
     @property
     def is_independent(self) -> bool:
@@ -175,7 +177,21 @@ class RunMemory:
     def is_own(self) -> bool:
         """Whether it is the error model's own, memory time and frailty."""
         own = self.fitted
-        return own is not None and (own.tau_s, own.frailty or 0.0) == (self.tau_s, self.frailty)
+        return (
+            own is not None
+            and not self.visibility
+            and (own.tau_s, own.frailty or 0.0) == (self.tau_s, self.frailty)
+        )
+
+    @property
+    def is_own_visibility(self) -> bool:
+        """Whether it is the visibility that the error model carries, and nothing else."""
+        return bool(self.carried) and self.hidden == (self.carried,) == (self.visibility,)
+
+    @property
+    def left_out(self) -> str:
+        """Label of the visibility that the model carries and the answer is not for, or empty."""
+        return "" if self.visibility else self.carried
 
 
 def memory_of(pem: Pem) -> RunMemory:
@@ -183,7 +199,14 @@ def memory_of(pem: Pem) -> RunMemory:
     single = single_model(own_pem(pem))
     assumed, own, properties = memory_of_pem(pem), own_memory(single), hidden_in(pem)
     hidden = tuple(one.label for one in properties if one.label)
-    run = RunMemory(tau_s=assumed.tau_s, frailty=assumed.frailty, hidden=hidden)
+    taken, carried = property_in(properties, VaryingVisibility), varying_frailty_of(single)
+    run = RunMemory(
+        tau_s=assumed.tau_s,
+        frailty=assumed.frailty,
+        hidden=hidden,
+        visibility="" if taken is None else taken.label,
+        carried="" if carried is None else carried.label,
+    )
     if own is None:
         return replace(run, check=_own_check(single, _variant_of(run)))
     low_s, high_s = own.tau_interval_s
@@ -197,14 +220,13 @@ def memory_of(pem: Pem) -> RunMemory:
         frailty_low=low,
         frailty_high=high,
     )
-    comes = property_in(properties, VaryingVisibility)
-    left_out = own.varying.label if own.varying is not None and comes is None else ""
-    run = replace(run, fitted=fitted, left_out=left_out)
-    is_own = comes is not None and len(hidden) == 1 and comes.law == own.varying
-    return replace(run, check=_own_check(single, "visibility" if is_own else _variant_of(run)))
+    run = replace(run, fitted=fitted)
+    return replace(run, check=_own_check(single, _variant_of(run)))
 
 
 def _variant_of(run: RunMemory) -> Variant | None:
+    if run.is_own_visibility:
+        return "visibility"
     if run.hidden:
         return None
     return "independent" if run.is_independent else "both" if run.is_own else None

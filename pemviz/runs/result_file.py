@@ -181,7 +181,14 @@ def result_document(result: RunResult) -> Table:
         "memory": (
             None
             if result.memory is None
-            else _without(_fields_of(result.memory), "measured", "unmeasured", "check", "left_out")
+            else _without(
+                _fields_of(result.memory),
+                "measured",
+                "unmeasured",
+                "check",
+                "visibility",
+                "carried",
+            )
         ),
         **_unless_empty(
             latents=result.latents, position_errors=result.position_errors, starts=result.starts

@@ -88,6 +88,17 @@ def memory_option(result: RunResult) -> str:
     return "a run with another --memory-s"
 
 
+def visibility_option(result: RunResult) -> str:
+    """What answers by the visibility that the model carries and the run leaves out.
+
+    Empty where it leaves none out, or pemviz has none for what was run.
+    """
+    memory = result.memory
+    if memory is None or not memory.left_out or memory.unmeasured.startswith(SEVERAL_SLOTS):
+        return ""
+    return "a run with --memory-law visibility by method auto"
+
+
 def data_warnings(result: RunResult) -> tuple[str, ...]:
     """What is said about the error model, its data and its refits, in words."""
     about_answer = {diagnostic.text for diagnostic in run_diagnostics(result)}
@@ -180,7 +191,7 @@ def _sources(result: RunResult) -> Iterator[UncertaintySource]:
         )
     if result.model_classes:
         yield _model_classes(result)
-    yield _memory(result.memory or RunMemory(tau_s=0.0), option=memory_option(result))
+    yield _memory(result)
     bound, name = result.data_bound, "the training data alone"
     if bound is None:
         yield UncertaintySource(
@@ -216,17 +227,19 @@ def _model_classes(result: RunResult) -> UncertaintySource:
     )
 
 
-def _memory(memory: RunMemory, *, option: str) -> UncertaintySource:
+def _memory(result: RunResult) -> UncertaintySource:
+    memory = result.memory or RunMemory(tau_s=0.0)
     points = (*memory.curve, *memory.frailty_curve, *(one.point for one in memory.measured))
     low, high = ends_of(points)
-    narrows = "tracked video of this detector" if points else option
+    narrows = "tracked video of this detector" if points else memory_option(result)
+    beside = visibility_option(result)
     return UncertaintySource(
         kind="memory",
         name=f"memory of misses, {_memory_words(memory)}",
         low=low,
         high=high,
         note=f"without the model's other law: {memory.left_out}" if memory.left_out else "",
-        narrowed_by="a run with --memory-law visibility beside" if memory.left_out else narrows,
+        narrowed_by=f"{narrows}, {beside}" if beside else narrows,
     )
 
 
@@ -242,7 +255,8 @@ def _memory_words(memory: RunMemory) -> str:
     if memory.measured:
         return "as measured on video"
     if memory.hidden:
-        return f"{' and '.join(memory.hidden)} assumed"
+        known = "measured" if memory.is_own_visibility else "assumed"
+        return f"{' and '.join(memory.hidden)} {known}"
     parts = [f"{memory.tau_s:.2g} s"] if memory.tau_s else []
     parts += [f"frailty {memory.frailty:.2g}"] if memory.frailty else []
     if not parts:

@@ -44,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.share is not None:
         effort = replace(effort, share=given.share)
     if given.frames is not None:
-        effort = replace(effort, frames=tuple(given.frames))
+        most = max(given.frames)
+        by_kind = min(effort.frames_by_kind, most)
+        effort = replace(effort, frames=tuple(given.frames), frames_by_kind=by_kind)
     tell = partial(tell_since, time.time())
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fine:

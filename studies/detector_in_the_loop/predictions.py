@@ -61,23 +61,25 @@ class Variant:
     """An error model with what was fitted of its memory.
 
     Attributes:
-        tau_s: Memory time [s]; of a visibility that comes and goes, its time.
-        frailty: Frailty; likewise, what lasts.
+        tau_s: Memory time [s].
+        frailty: Frailty; of a visibility that comes and goes, what lasts.
         refuted: Quantities that are refuted on the sequences it was fitted to, out of fold.
         unseen: Quantities that are refuted on sequences that it has not seen, by name.
-        comes_and_goes: Whether it is such a visibility.
+        varying: Of such a visibility, what comes and goes; 0: it is none.
+        varying_s: Its time [s].
     """
 
     tau_s: float
     frailty: float
     refuted: int
     unseen: tuple[str, ...]
-    comes_and_goes: bool = False
+    varying: float = 0.0
+    varying_s: float = 0.0
 
     @property
     def options(self) -> tuple[str, ...]:
         """Of ``record``; the model carries what comes and goes."""
-        if self.comes_and_goes:
+        if self.varying:
             return "--memory-law", VISIBILITY
         return "--memory-s", f"{self.tau_s:g}", "--frailty", f"{self.frailty:g}"
 
@@ -183,19 +185,22 @@ def fitted(
     unseen = {one["name"]: one["quantities"] for one in told["variants"]}
     variants = {
         name: Variant(
-            tau_s=seen[name]["varying_s" if name == VISIBILITY else "tau_s"],
+            tau_s=seen[name]["tau_s"],
             frailty=seen[name]["frailty"],
             refuted=sum(quantity["refuted"] for quantity in seen[name]["quantities"]),
             unseen=tuple(q["name"] for q in unseen.get(name, ()) if q["refuted"]),
-            comes_and_goes=name == VISIBILITY,
         )
         for name in VARIANTS
         if name in seen
     }
-    # the variant with both is checked with what the card keeps: fitted to all sequences
+    # a run takes what the card keeps: fitted to all sequences
     both, memory = variants.get("both"), card["memory"]["fit"]["memory"]
     if both is not None:
         variants["both"] = replace(both, tau_s=memory["tau_s"], frailty=memory["frailty"])
+    if VISIBILITY in variants:
+        variants[VISIBILITY] = replace(variants[VISIBILITY], **card["memory"]["varying"]["law"])
+    elif varying:
+        raise CommandError(f"{folder}: fitted without a check of the visibility; delete it")
     return Fitted(folder / "model.safetensors", variants)
 
 

@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain, product
@@ -87,10 +87,12 @@ class Row:
         frames: Labelled.
         variant: One of :data:`.predictions.VARIANTS` or :data:`HIDDEN`.
         answer: Of ``record``.
-        tau_s: With which memory time; ``None`` with several.
-        frailty: With which frailty.
+        tau_s: With which memory time; ``None`` with several models.
+        frailty: With which frailty, that lasts.
         refuted: Quantities refuted on the sequences that it was fitted to.
         unseen: Likewise on others, by name.
+        varying: With which frailty that comes and goes.
+        varying_s: In which time.
     """
 
     setting: str
@@ -101,6 +103,8 @@ class Row:
     frailty: float | None
     refuted: int | None
     unseen: tuple[str, ...]
+    varying: float = 0.0
+    varying_s: float = 0.0
 
 
 def tell_since(began_s: float, words: str) -> None:
@@ -224,6 +228,8 @@ def predicted(
                 frailty=variant.frailty,
                 refuted=variant.refuted,
                 unseen=variant.unseen,
+                varying=variant.varying,
+                varying_s=variant.varying_s,
             )
         )
     return rows
@@ -314,10 +320,7 @@ def predictions(
     With ``fine`` from tables as they come, and no others.
     """
     the_detector(folder, effort, tell)
-    chosen = [setting for setting in SETTINGS if setting.name in names]
-    # the last domain has most kinds of light and weather, and takes longest
-    domains = list(dict.fromkeys(setting.domain_name for setting in reversed(chosen)))
-    groups = [[one for one in chosen if one.domain_name == domain] for domain in domains]
+    groups = by_domain(setting for setting in SETTINGS if setting.name in names)
     rows = in_processes(partial(_predictions_of, folder, effort, tell, fine), groups)
     place = {setting.name: number for number, setting in enumerate(SETTINGS)}
     return sorted(chain.from_iterable(rows), key=lambda row: (row.frames, place[row.setting]))
@@ -368,11 +371,18 @@ def reasons(
         for setting in SETTINGS
         if setting.name in names and isinstance(setting.world, BrakingWorld)
     ]
-    found = in_processes(partial(_reasons_of, folder, effort, tell), chosen)
-    return {setting.name: one for setting, one in zip(chosen, found, strict=True)}
+    parts = in_processes(partial(_reasons_of, folder, effort, tell), by_domain(chosen))
+    found = {name: one for part in parts for name, one in part.items()}
+    return {setting.name: found[setting.name] for setting in chosen}
 
 
-def _reasons_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Explained:
+def _reasons_of(
+    folder: Path, effort: Effort, tell: Tell, settings: Sequence[Setting]
+) -> dict[str, Explained]:
+    return {one.name: _reason_of(folder, effort, tell, one) for one in settings}
+
+
+def _reason_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Explained:
     frames = effort.frames[-1]
     path = folder / "why" / f"{setting.name}_{frames}.json"
     if not path.exists():
@@ -392,6 +402,17 @@ def _reasons_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> E
     document = json.loads(path.read_text(encoding="utf-8"))
     own = OwnMemory(**document.pop("own"))
     return Explained(own=own, **document)
+
+
+def by_domain(settings: Iterable[Setting]) -> list[list[Setting]]:
+    """Settings that share labelled sequences and models together.
+
+    The last domain has most kinds of light and weather, takes longest, and comes first.
+    """
+    found: dict[str, list[Setting]] = {}
+    for setting in settings:
+        found.setdefault(setting.domain_name, []).append(setting)
+    return list(found.values())[::-1]
 
 
 def in_processes(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

@@ -26,6 +26,7 @@ from pemviz.reports.terminal import summary_text
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunMemory, memory_of
 from pemviz.runs.result_file import result_document, result_from_document
+from pemviz.runs.uncertainty import SEVERAL_SLOTS
 from tests.reports.runs import result as made_up_result
 
 
@@ -134,9 +135,21 @@ def test_a_visibility_that_comes_and_goes_is_checked_and_told_of_in_an_answer(tm
     told = replace(made_up_result(), memory=copied)
     assert f"its other law, {law.label}, is left out" in memory_text(told)
     assert f"without the model's other law: {law.label}" in summary_markdown(told)
-    assert memory_of(build_experiment(own).pem).left_out == ""
+    assert "--memory-law visibility by method auto has it" in memory_text(told)
+    in_slots = replace(told, memory=replace(copied, unmeasured=f"{SEVERAL_SLOTS}; another tells"))
+    assert f"{law.label}, is left out" in memory_text(in_slots)
+    assert "--memory-law" not in memory_text(in_slots)
+    by_own = memory_of(build_experiment(own).pem)
+    assert by_own.left_out == ""
+    words = memory_text(replace(told, memory=by_own))
+    assert f"{law.label}: the error model's own, measured on video; by its other law" in words
     other = replace(own, frailty=0.5, varying_frailty=0.7, varying_frailty_s=0.2)
-    assert memory_of(build_experiment(other).pem).check.variants == ()
+    given = memory_of(build_experiment(other).pem)
+    assert given.check.variants == ()
+    nothing = replace(given.fitted, tau_s=0.0, frailty=0.0)
+    assert "not the error model's own" in memory_text(
+        replace(told, memory=replace(given, fitted=nothing))
+    )
 
 
 def test_position_errors_of_a_model_are_checked_beside_it(tmp_path, capsys):

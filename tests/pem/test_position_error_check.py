@@ -39,6 +39,7 @@ def noises(law, variant, count, seed=1):
         ("memory", lambda h: np.exp(-h / 0.3)),
         ("frailty", lambda h: 0.4 + 0.0 * h),
         ("both", MEMORY.correlation),
+        ("visibility", MEMORY.correlation),
     ],
 )
 def test_noise_hangs_together_as_its_variant_says(variant, correlation):

@@ -206,6 +206,21 @@ def test_a_law_is_found_again_and_told_from_copies():
     assert fit.nats < at_the_law + 1e-4
 
 
+@pytest.mark.parametrize(("tracks", "seed"), [(40, 8), (60, 9), (60, 20)])
+def test_no_law_nearby_is_much_likelier_than_the_one_found(tracks, seed):
+    """Flat likelihoods, on which a search by slopes stopped near nothing; a hundred others."""
+    table, own = tracks_of(LAWS[0], tracks=tracks, frames=10, seed=seed)
+    found = likeliest_law(table, own)
+    best = sequence_log_likelihoods(table, own, found).sum()
+    random = np.random.default_rng(seed)
+    for _ in range(100):
+        frailty, varying, varying_s = np.exp(random.normal(0.0, 0.8, 3)) * (0.7, 1.0, 0.4)
+        other = VaryingFrailty(
+            min(max(frailty, 0.02), 4.0), min(varying, 5.0), min(max(varying_s, 0.02), 8.0)
+        )
+        assert sequence_log_likelihoods(table, own, other).sum() < best + 0.1
+
+
 def test_parts_of_the_sequences_have_laws_of_the_others():
     tracks, own = tracks_of(LAWS[0], tracks=60, frames=10, seed=8)
     part, told = tracks.sequence % 2, []
@@ -228,7 +243,9 @@ def test_parts_of_the_sequences_have_laws_of_the_others():
 def test_parts_without_a_track_of_two_frames_are_refused():
     tracks, own = tracks_of(LAWS[0], tracks=40, frames=4, seed=9)
     rows = (tracks.sequence == 0) | (tracks.frame == 0)
-    with pytest.raises(PemError, match="no obstacle is seen twice in the 1 other parts"):
+    with pytest.raises(
+        PemError, match="no obstacle is seen twice without part 1 of 2: fewer folds"
+    ):
         held_out_laws(tracks.only(rows), own[rows], part=tracks.sequence[rows])
 
 

@@ -53,7 +53,7 @@ MAY_BE_NULL = re.compile(
 MAY_BE_ABSENT = re.compile(
     r"seed|message|estimate|repetitions|stages|least_robust|reference|pem_interval|data_bound"
     r"|pem_interval\.log10_answers|model_classes|uncertainty|plan|plan\.labels\.warning|memory"
-    r"|memory\.(fitted|curve|frailty|frailty_curve|hidden|measured|unmeasured|left_out)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
+    r"|memory\.(fitted|curve|frailty|frailty_curve|hidden|measured|unmeasured|visibility|carried)|memory\.fitted\.frailty(_low|_high)?|warnings|timings_s"
     r"|memory\.measured\[\d+\]\.point\.(frailty|diagnostics)"
     r"|(estimate|repetitions\[\d+\])\.(diagnostics|confidence|interval_caveats|try_next)"
     r"|causes\.(memory|bursts|memory\.(warning|std_error)|stage|slots|chains\[\d+\]\.(likeliest|slots))"

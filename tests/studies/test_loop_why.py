@@ -1,6 +1,7 @@
 """Why a prediction is off: likelihoods of the decisive window, and intervals of the page."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from studies.detector_in_the_loop.page_words import holds, ratio_of, ratio_words
 from studies.detector_in_the_loop.predictions import Answer, coarsened, mixed
-from studies.detector_in_the_loop.settings import FAR
-from studies.detector_in_the_loop.study import Truth
-from studies.detector_in_the_loop.truth import Count, exact_interval
+from studies.detector_in_the_loop.settings import FAR, SETTINGS
+from studies.detector_in_the_loop.study import Truth, by_domain
+from studies.detector_in_the_loop.truth import Count, counted, exact_interval
 from studies.detector_in_the_loop.why import Window, lagged, log_likelihood, own_memory
 
 SHARES = np.array([0.9, 0.5, 0.05, 0.3])
@@ -113,3 +114,31 @@ def test_a_coarsened_table_has_the_scenarios_car_in_it(tmp_path):
     x_m, z_m, rotation = rows[1, [7, 9, 10]]
     assert (x_m, rows[1, 3]) == pytest.approx((-3.5, rotation - np.arctan2(x_m, z_m)))
     np.testing.assert_array_equal(rows[:, -1], [1, 0])
+
+
+def test_a_setting_is_counted_until_enough_fail(tmp_path, monkeypatch):
+    """A third of each block fails: 400 are there after three of 500; the rest is never driven."""
+    driven = []
+
+    def block_of(setting, detector, *, block, rollouts):
+        driven.append(block)
+        failed = np.arange(rollouts) % 3 == 0
+        return SimpleNamespace(failed=failed, looks=SimpleNamespace(step=np.zeros(7)))
+
+    monkeypatch.setattr("studies.detector_in_the_loop.truth.driven_block", block_of)
+    setting = next(one for one in SETTINGS if one.name == "far-fair")
+    count = counted(setting, None, tmp_path, rollouts=100_000)
+    assert (count.failed, count.rollouts, driven) == (501, 1_500, [0, 1, 2])
+    assert counted(setting, None, tmp_path, rollouts=100_000) == count  # nothing is driven again
+    assert driven == [0, 1, 2]
+    assert counted(setting, None, tmp_path / "few", rollouts=700).rollouts == 1_000
+
+
+def test_settings_of_a_domain_are_worked_on_together():
+    groups = by_domain(SETTINGS)
+    assert sorted(one.name for group in groups for one in group) == sorted(
+        one.name for one in SETTINGS
+    )
+    assert all(len({one.domain_name for one in group}) == 1 for group in groups)
+    assert len(groups) == len({one.domain_name for one in SETTINGS})
+    assert groups[0][0].domain_name == "all"

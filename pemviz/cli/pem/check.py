@@ -85,7 +85,7 @@ class CheckArguments:
     """Parts of the sequences (2 or more); with model."""
     varying_frailty: bool = False
     """With model: also with a visibility that comes and goes, fitted out of fold, as of 'pemviz pem
-    fit'; a fitted model that carries one is checked with it. A minute and more."""
+    fit'; a fitted model that carries one is checked with it. Minutes with 20,000 observations."""
     rate_hz: float | None = None
     """Frames a second, where the table has no column rate_hz (above 0)."""
     draws: int = DRAWS
@@ -131,6 +131,7 @@ def run(arguments: CheckArguments) -> int:
 def _of_kind(arguments: CheckArguments) -> "Checked":
     """A kind of model, each part of the sequences told by the others."""
     from pemviz.pem.fitting.memory import check_fittable, memory_surface  # noqa: PLC0415  scipy
+    from pemviz.pem.fitting.varying_frailty import likeliest_law  # noqa: PLC0415
     from pemviz.pem.judging.position_error_check import cross_fitted_law  # noqa: PLC0415
     from pemviz.pem.judging.predictive_check import check_held_out  # noqa: PLC0415
 
@@ -148,7 +149,9 @@ def _of_kind(arguments: CheckArguments) -> "Checked":
         surface = memory_surface(tracks, held_out.logit, on_progress=tell)
     visibilities: tuple[VaryingFrailty, ...] = ()
     if arguments.varying_frailty:
-        visibilities = fitted_out_of_fold(tracks, held_out)
+        with progress_bar("time-varying frailty") as tell:
+            law = likeliest_law(tracks, held_out.logit, on_progress=tell)
+        visibilities = fitted_out_of_fold(tracks, held_out, start=law)
     errors: ErrorLaw | None = None
     if _has_errors(arguments.table):
         table = load_error_csv(arguments.table, rate_hz=arguments.rate_hz)

@@ -54,7 +54,8 @@ Data
 Model
   --model NAME           guess-mu, lr, ml-nn, b-nn as in the paper; gb-paper,
                          gb-raw: boosted trees; best: of gb-raw and lr
-  --memory               also how misses follow each other (needs tracks)
+  --memory               also how misses follow each other (needs tracks);
+                         --varying-frailty: by a second law beside it
   --position-errors      how far off it says a car is, not misses; --tails
   --members 20           also refits of it, beside it; not with --memory
   --folds N, --seed N    of the cross-validation; of everything random

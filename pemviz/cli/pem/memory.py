@@ -137,9 +137,12 @@ def memory_beside(
 
 
 def fitted_out_of_fold(
-    tracks: TrackTable, held_out: "CrossFitted", *, start: "VaryingFrailty | None" = None
+    tracks: TrackTable, held_out: "CrossFitted", *, start: "VaryingFrailty"
 ) -> "tuple[VaryingFrailty, ...]":
-    """The time-varying frailty of each part of the sequences, sought from one on; with progress."""
+    """The time-varying frailty of each part of the sequences, with progress.
+
+    The search begins at ``start``, the law of all.
+    """
     from pemviz.pem.fitting.varying_frailty import held_out_laws  # noqa: PLC0415  scipy is slow
 
     with progress_bar("time-varying frailty, parts") as tell:

@@ -139,7 +139,8 @@ def _law_without(
     others = part != left_out
     seen = tracks.only(others)
     if not seen.follows.any():
-        raise PemError(f"no obstacle is seen twice in the {int(part.max())} other parts")
+        where = f"without part {left_out + 1} of {int(part.max()) + 1}"
+        raise PemError(f"no obstacle is seen twice {where}: fewer folds, or more tracks")
     return likeliest_law(seen, logit[others], start=start)
 
 
@@ -150,9 +151,10 @@ def likeliest_law(
     start: VaryingFrailty | None = None,
     on_progress: Progress | None = None,
 ) -> VaryingFrailty:
-    """The law under which tracks are likeliest, sought from ``start`` on.
+    """The law under which tracks are likeliest.
 
-    The rest is as of :func:`fit_varying_frailty`.
+    It is sought from ``start`` on, ``None``: from the likeliest of ``STARTS``; the rest is as of
+    :func:`fit_varying_frailty`.
     """
     from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 

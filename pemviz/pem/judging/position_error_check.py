@@ -2,7 +2,7 @@
 
 The noise of a track is that of :class:`~pemviz.pem.models.position_errors.NoiseMemory`, in the
 variants of a predictive check: independent from step to step; forgetful alone, with its memory
-time; lasting alone, an obstacle's own share; and both.
+time; lasting alone, an obstacle's own share; and both, beside a visibility that comes and goes too.
 """
 
 from collections.abc import Callable, Sequence
@@ -109,8 +109,8 @@ class ErrorLaw:
             rows = self.part == place
             rho[rows] = persistence(np.maximum(since_s[rows], 0.0), memory.tau_s)
         return (
-            share if variant in ("frailty", "both") else np.zeros_like(share),
-            rho if variant in ("memory", "both") else np.zeros_like(rho),
+            share if variant in ("frailty", "both", "visibility") else np.zeros_like(share),
+            rho if variant in ("memory", "both", "visibility") else np.zeros_like(rho),
         )
 
 

@@ -174,11 +174,12 @@ class CheckedQuantity:
 
 @dataclass(frozen=True)
 class CheckedVariant:
-    """A model's variant, with the memory that its misses were drawn with.
+    """A model's variant, with the law that its misses were drawn with.
 
     Attributes:
         name: Which variant.
-        tau_s: Memory time [s]; where parts of the sequences had one each, their median.
+        tau_s: Memory time [s]; where parts of the sequences had one each, their median. 0 with a
+            visibility that comes and goes.
         frailty: Likewise; of a visibility that comes and goes, the part that lasts.
         quantities: What was compared.
         varying: Of such a visibility, the part that comes and goes; 0: there is none.
@@ -363,9 +364,9 @@ def verdict_lines(check: ModelCheck) -> list[str]:
 
 def _verdict(variant: CheckedVariant) -> str:
     name = VARIANT_WORDS[variant.name]
-    if variant.varying:
-        comes = f"time-varying frailty {variant.varying:.2f} over {variant.varying_s:.2f} s"
-        name += f" that comes and goes ({comes}, lasting frailty {variant.frailty:.2f})"
+    if variant.name == "visibility":
+        law = f"time-varying frailty {variant.varying:.2f} over {variant.varying_s:.2f} s"
+        name += f" that comes and goes ({law}, lasting frailty {variant.frailty:.2f})"
     elif variant.name != "independent":
         name += f" (memory time {variant.tau_s:.2f} s, frailty {variant.frailty:.2f})"
     count, wrong = len(variant.quantities), variant.refuted
