@@ -1,5 +1,6 @@
 """The page: the truth, what was predicted over it, and whether the check told in advance."""
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -59,11 +60,13 @@ def write_page(
 
 def _detector_words(folder: Path) -> str:
     card = json.loads((folder / "detector.json").read_text(encoding="utf-8"))
+    digest = hashlib.sha256((folder / "detector.safetensors").read_bytes()).hexdigest()[:12]
     return (
         f"The detector: {card['parameters']:,} parameters, trained on {card['pictures']:,} images "
         f"in {card['epochs']} epochs; average precision {card['average_precision']:.3f} on "
         f"{card['validation']:,} images of other scenes; threshold {card['threshold']:.3f}, where "
-        "F1 is greatest.\n"
+        f"F1 is greatest. Its weights, {digest}, may come out otherwise on another machine: no "
+        "figure here may stand beside one of others.\n"
     )
 
 
