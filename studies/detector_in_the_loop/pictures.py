@@ -144,7 +144,10 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
         fill = colour if holds(ratio) else "white"
         axes.plot(ratio.value, height, marks[row.variant], ms=size, color=colour, mfc=fill)
         axes.plot([ratio.low, ratio.high], [height, height], color=colour, lw=0.7)
+    shown = {row.variant for row in rows}
     for variant, title in VARIANT_TITLES.items():
+        if variant not in shown:
+            continue
         axes.plot([], [], marks[variant], color=colours[variant], label=title)
     axes.set(xscale="log", ylim=(len(names) - 0.4, -0.6))
     axes.set_xlabel("prediction over truth (filled: within a factor of 2, the grey band)")
