@@ -230,7 +230,7 @@ def test_drawn_outcomes_follow_the_model():
     own = np.full(len(table), logit(0.7))
     rho = float(persistence(0.1, 0.2))
     random = np.random.default_rng(4)
-    drawn = sample_outcomes(table, own, memory=Memory(tau_s=0.2), samples=300, random=random)
+    drawn = sample_outcomes(table, own, law=Memory(tau_s=0.2), samples=300, random=random)
     rows = np.flatnonzero(table.follows)
     before, after = ~drawn[:, rows - 1], ~drawn[:, rows]
     for m, expected in ((True, 0.3 + 0.7 * rho), (False, 0.3 * (1 - rho))):
@@ -244,7 +244,7 @@ def test_samples_drawn_together_are_those_of_outcomes_drawn_one_by_one():
     drawn = sample_outcomes(
         table,
         own,
-        memory=Memory(tau_s=0.2, frailty=0.5),
+        law=Memory(tau_s=0.2, frailty=0.5),
         samples=3,
         random=np.random.default_rng(9),
     )
@@ -438,9 +438,7 @@ def test_the_expected_gain_is_the_mean_of_gains():
     """Over 40 draws, to five standard errors."""
     table, own = draw_tracks(seed=6, tau_s=0.0, frailty=0.0, sequences=6)
     random, gains = np.random.default_rng(8), []
-    for detected in sample_outcomes(
-        table, own, memory=Memory(tau_s=0.1), samples=40, random=random
-    ):
+    for detected in sample_outcomes(table, own, law=Memory(tau_s=0.1), samples=40, random=random):
         sampled = tracks_of(detected, sequence=table.sequence, track=table.track, frame=table.frame)
         both = log_likelihoods(sampled, own, taus_s=np.array([0.0, 0.1]), frailties=np.zeros(1))
         gains.append(np.diff(both.sum(axis=0)[:, 0])[0])

@@ -106,7 +106,7 @@ def test_drawn_longest_runs_follow_the_recursion():
     table = tracks_of(np.ones(n), sequence=np.zeros(n), track=np.zeros(n), frame=np.arange(n))
     random = np.random.default_rng(11)
     drawn = sample_outcomes(
-        table, np.full(n, logit(0.7)), memory=Memory(), samples=draws, random=random
+        table, np.full(n, logit(0.7)), law=Memory(), samples=draws, random=random
     )
     runs_s = TrackQuantities(table).longest_runs_s(drawn)[:, 0]
     for k in (2, 3, 4, 6):
@@ -181,9 +181,7 @@ def test_quantities_are_those_of_a_naive_reference(seed, share):
 
 def test_quantities_of_many_data_sets_are_those_of_each():
     table, own = approaching(tracks=8, frames=25, keep=0.9)
-    drawn = sample_outcomes(
-        table, own, memory=Memory(0.2), samples=7, random=np.random.default_rng(0)
-    )
+    drawn = sample_outcomes(table, own, law=Memory(0.2), samples=7, random=np.random.default_rng(0))
     together = TrackQuantities(table).computed(drawn)
     for row, outcomes in enumerate(drawn):
         alone = TrackQuantities(with_outcomes(table, outcomes)).computed(outcomes[None])
@@ -223,7 +221,7 @@ def test_drawn_mid_p_values_approach_those_of_weighted_outcomes():
         weight.append(w)
     law = TrackQuantities(table).computed(outcomes).values["longest_run_s"]
     drawn = sample_outcomes(
-        table, np.full(6, logit(1 - p)), memory=Memory(0.2), samples=20_000,
+        table, np.full(6, logit(1 - p)), law=Memory(0.2), samples=20_000,
         random=np.random.default_rng(5),
     )  # fmt: skip
     values = TrackQuantities(table).computed(drawn).values["longest_run_s"]
@@ -268,7 +266,7 @@ def test_p_values_of_data_from_the_model_itself_are_uniform(memory):
     quantities, random = TrackQuantities(table), np.random.default_rng(17)
     ranks, p_values = {}, {}
     for _ in range(cases):
-        drawn = sample_outcomes(table, own, memory=memory, samples=draws + 1, random=random)
+        drawn = sample_outcomes(table, own, law=memory, samples=draws + 1, random=random)
         for name, values in quantities.computed(drawn).values.items():
             known = np.where(np.isfinite(values), values, np.nanmean(values))
             less, equal = (known[1:] < known[0]).sum(), (known[1:] == known[0]).sum()
@@ -290,10 +288,10 @@ def test_fifty_tracks_tell_a_memory_time_of_a_fifth_of_a_second_from_independenc
     table, own = approaching(tracks=50, frames=20, seed=4)
     random = np.random.default_rng(23)
     refused = {"independent": 0, "memory": 0}
-    for outcomes in sample_outcomes(table, own, memory=Memory(0.2), samples=20, random=random):
+    for outcomes in sample_outcomes(table, own, law=Memory(0.2), samples=20, random=random):
         check = check_tracks(
             with_outcomes(table, outcomes), own, part=np.zeros(len(table), dtype=np.int64),
-            memories={"independent": [Memory()], "memory": [Memory(0.2)]}, draws=999,
+            laws={"independent": [Memory()], "memory": [Memory(0.2)]}, draws=999,
         ).check  # fmt: skip
         for variant in check.variants:
             refused[variant.name] += bool(variant.refuted)
@@ -308,10 +306,10 @@ def test_copied_outcomes_that_outlive_what_is_hard_to_see_are_told_from_a_visibi
     table, own = approaching(tracks=150, frames=20, seed=5)
     law, random = VaryingFrailty(0.3, 2.0, 0.3), np.random.default_rng(29)
     refused = {"memory": 0, "visibility": 0}
-    for outcomes in sample_outcomes(table, own, memory=law, samples=10, random=random):
+    for outcomes in sample_outcomes(table, own, law=law, samples=10, random=random):
         check = check_tracks(
             with_outcomes(table, outcomes), own, part=np.zeros(len(table), dtype=np.int64),
-            memories={"memory": [Memory(0.3, 0.3)], "visibility": [law]}, draws=799,
+            laws={"memory": [Memory(0.3, 0.3)], "visibility": [law]}, draws=799,
         ).check  # fmt: skip
         for variant in check.variants:
             refused[variant.name] += bool(variant.refuted)
@@ -322,7 +320,7 @@ def test_copied_outcomes_that_outlive_what_is_hard_to_see_are_told_from_a_visibi
 def test_nested_memories_are_the_peaks_of_their_part_of_the_surface():
     table, own = approaching(tracks=60, frames=25, sequences=4)
     outcomes = sample_outcomes(
-        table, own, memory=Memory(0.3, 0.5), samples=1, random=np.random.default_rng(1)
+        table, own, law=Memory(0.3, 0.5), samples=1, random=np.random.default_rng(1)
     )[0]
     whole = memory_surface(with_outcomes(table, outcomes), own).sum(axis=0)
     memory, frailty, both = nested_memories(whole)
@@ -338,7 +336,7 @@ def test_nested_memories_are_the_peaks_of_their_part_of_the_surface():
 def test_held_out_parts_are_checked_in_four_variants():
     table, own = approaching(tracks=96, frames=25, sequences=12)
     outcomes = sample_outcomes(
-        table, own, memory=Memory(0.3), samples=1, random=np.random.default_rng(2)
+        table, own, law=Memory(0.3), samples=1, random=np.random.default_rng(2)
     )[0]
     table = with_outcomes(table, outcomes)
     held_out = cross_fit(table, model="lr", folds=4)
@@ -357,7 +355,7 @@ def test_held_out_parts_are_checked_in_four_variants():
 def test_a_visibility_that_comes_and_goes_is_a_fifth_variant():
     table, own = approaching(tracks=40, frames=20, sequences=4)
     law, random = VaryingFrailty(0.5, 1.5, 0.4), np.random.default_rng(3)
-    [outcomes] = sample_outcomes(table, own, memory=law, samples=1, random=random)
+    [outcomes] = sample_outcomes(table, own, law=law, samples=1, random=random)
     table = with_outcomes(table, outcomes)
     held_out = cross_fit(table, model="lr", folds=2)
     laws = (VaryingFrailty(0.4, 1.4, 0.4), VaryingFrailty(0.6, 1.8, 0.6))
@@ -389,10 +387,10 @@ def test_a_card_of_before_says_nothing_of_what_comes_and_goes():
 def test_the_same_seed_gives_the_same_check():
     table, own = approaching(tracks=10, frames=20)
     settings = {"part": np.zeros(len(table), dtype=np.int64), "draws": 799}
-    memories = {"independent": [Memory()], "both": [Memory(0.2, 0.5)]}
-    first, again = (check_tracks(table, own, memories=memories, **settings) for _ in range(2))
+    laws = {"independent": [Memory()], "both": [Memory(0.2, 0.5)]}
+    first, again = (check_tracks(table, own, laws=laws, **settings) for _ in range(2))
     assert first.check == again.check
-    alone = check_tracks(table, own, memories={"independent": [Memory()]}, **settings)
+    alone = check_tracks(table, own, laws={"independent": [Memory()]}, **settings)
     assert alone.check.variants[0] == first.check.variants[0]
 
 
@@ -403,7 +401,7 @@ def test_a_table_in_which_all_or_nothing_is_detected(seen):
     table = with_outcomes(table, np.full(len(table), seen))
     check = check_tracks(
         table, np.zeros_like(own), part=np.zeros(len(table), dtype=np.int64),
-        memories={"both": [Memory(0.2, 0.5)]},
+        laws={"both": [Memory(0.2, 0.5)]},
     ).check  # fmt: skip
     by_name = {one.name: one for one in check.variants[0].quantities}
     assert by_name["longest_run_s"].refuted
@@ -421,7 +419,7 @@ def test_tracks_of_one_frame_without_places():
     table = replace(table, has_state=False)
     check = check_tracks(
         table, np.full(n, logit(2 / 3)), part=np.zeros(n, dtype=np.int64),
-        memories={"independent": [Memory()], "both": [Memory(0.5, 0.5)]},
+        laws={"independent": [Memory()], "both": [Memory(0.5, 0.5)]},
     ).check  # fmt: skip
     names = [one.name for one in check.variants[0].quantities]
     assert names == ["longest_run_s", "missed_0.5_s", "missed_1_s", "missed_2_s"]
@@ -433,7 +431,7 @@ def test_a_model_with_a_memory_of_nothing_is_its_independent_self():
     table, own = approaching(tracks=10, frames=20)
     drawn = check_tracks(
         table, own, part=np.zeros(len(table), dtype=np.int64),
-        memories={"independent": [Memory()], "both": [Memory(0.0, 0.0)]},
+        laws={"independent": [Memory()], "both": [Memory(0.0, 0.0)]},
     ).check.variants  # fmt: skip
     for one, other in zip(drawn[0].quantities, drawn[1].quantities, strict=True):
         assert other.expected == pytest.approx(one.expected, rel=0.1, abs=0.05)
@@ -442,7 +440,7 @@ def test_a_model_with_a_memory_of_nothing_is_its_independent_self():
 def test_too_few_draws_are_refused():
     table, own = approaching(tracks=3, frames=5)
     with pytest.raises(PemError, match="draws is 99, allowed: 799 to 100,000"):
-        check_tracks(table, own, part=np.zeros(len(table), dtype=np.int64), memories={}, draws=99)
+        check_tracks(table, own, part=np.zeros(len(table), dtype=np.int64), laws={}, draws=99)
 
 
 def quantity(name, observed, expected, *, refuted=True):

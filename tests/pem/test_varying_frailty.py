@@ -48,7 +48,7 @@ def sampled_misses(law, logit, *, step_s, random):
         frame=np.tile(np.arange(frames), count),
         rate_hz=1.0 / step_s,
     )
-    outcomes = sample_outcomes(table, logit.ravel(), memory=law, samples=1, random=random)
+    outcomes = sample_outcomes(table, logit.ravel(), law=law, samples=1, random=random)
     return ~outcomes.reshape(logit.shape)
 
 

@@ -94,7 +94,7 @@ def fit_report(
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
 
     def sampled(memory: Memory) -> BoolArray:
-        return sample_outcomes(tracks, logit, memory=memory, samples=SIMULATED, random=random)
+        return sample_outcomes(tracks, logit, law=memory, samples=SIMULATED, random=random)
 
     def mean_runs(outcomes: BoolArray) -> list[float]:
         return np.mean([run_lengths(tracks, each) for each in outcomes], axis=0).tolist()
@@ -127,17 +127,17 @@ def sample_outcomes(
     tracks: TrackTable,
     logit: FloatArray,
     *,
-    memory: Memory | VaryingFrailty,
+    law: Memory | VaryingFrailty,
     samples: int,
     random: np.random.Generator,
 ) -> BoolArray:
     """Outcomes ``[samples, n]`` (true: detected) of the same tracks, drawn from the model.
 
-    ``memory`` is either law of misses. A sample is the same however many others are drawn after it.
+    The law is of either kind. A sample is the same however many others are drawn after it.
     """
-    if isinstance(memory, VaryingFrailty):
-        return _with_visibility(tracks, logit, law=memory, samples=samples, random=random)
-    obstacles, frailty = int(tracks.track.max()) + 1, memory.frailty
+    if isinstance(law, VaryingFrailty):
+        return _with_visibility(tracks, logit, law=law, samples=samples, random=random)
+    obstacles, frailty = int(tracks.track.max()) + 1, law.frailty
     # the law of P(missed), not of its logit: nothing here needs its small digits
     quantile = memory_law.miss_quantile(logit) * np.sqrt(1.0 + frailty**2)
     own = np.empty((samples, len(tracks)))
@@ -146,9 +146,9 @@ def sample_outcomes(
         visibility = random.standard_normal(obstacles)[tracks.track]
         own[sample] = ndtr(quantile + frailty * visibility) if frailty else expit(-logit)
         uniforms[sample] = random.random(len(tracks))
-    if memory.tau_s == 0.0:
+    if law.tau_s == 0.0:
         return uniforms < 1.0 - own
-    rho = memory_law.persistence(tracks.since_s, memory.tau_s)
+    rho = memory_law.persistence(tracks.since_s, law.tau_s)
     detected = np.empty(own.shape, dtype=np.bool_)
     for place, rows in enumerate(tracks.by_place):
         fresh = own[:, rows]

@@ -236,7 +236,7 @@ def check_tracks(
     logit: FloatArray,
     *,
     part: IntArray,
-    memories: Mapping[Variant, Sequence[Law]],
+    laws: Mapping[Variant, Sequence[Law]],
     errors: ErrorLaw | None = None,
     folds: int = 0,
     same_data: bool = False,
@@ -250,7 +250,7 @@ def check_tracks(
         tracks: n observations.
         logit: Logits of P(detected | state) ``[n]``.
         part: Which part of the sequences each observation is of ``[n]``, counted from 0.
-        memories: By variant the law of misses of each part.
+        laws: By variant the law of misses of each part.
         errors: Law of the position errors, and those that were observed; ``None`` without.
         folds: As in :class:`ModelCheck`, and the next one.
         same_data: Likewise.
@@ -274,7 +274,7 @@ def check_tracks(
         batches: list[Drawn] = []
         root = np.random.SeedSequence(seed, spawn_key=(2, place))
         batch_sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
-        outcomes_of = _draws(tracks, logit, part, memories[variant], sizes=batch_sizes, root=root)
+        outcomes_of = _draws(tracks, logit, part, laws[variant], sizes=batch_sizes, root=root)
         for outcomes, random in outcomes_of:
             if stopped.is_set():
                 break
@@ -284,16 +284,16 @@ def check_tracks(
                 batches[-1].values.update(of_errors)
             if on_progress is not None:
                 with lock:
-                    on_progress(next(done), len(memories) * len(batch_sizes))
+                    on_progress(next(done), len(laws) * len(batch_sizes))
         return Drawn(
             _joined([one.values for one in batches]), _joined([one.curves for one in batches])
         )
 
     # numpy lets go of the interpreter's lock; each variant has its own stream of random numbers
     with ThreadPoolExecutor(usable_cpus()) as threads:
-        each = threads.map(draw, range(len(memories)), memories)
+        each = threads.map(draw, range(len(laws)), laws)
         try:
-            drawn = dict(zip(memories, each, strict=True))
+            drawn = dict(zip(laws, each, strict=True))
         except BaseException:  # such as Ctrl-C: the threads shall not go on to their end
             stopped.set()
             raise
@@ -306,8 +306,8 @@ def check_tracks(
         folds=folds,
         same_data=same_data,
         variants=tuple(
-            _variant(variant, laws, compare(observed.values, drawn[variant].values))
-            for variant, laws in memories.items()
+            _variant(variant, of_parts, compare(observed.values, drawn[variant].values))
+            for variant, of_parts in laws.items()
         ),
     )
     return Checked(check, observed, drawn)
@@ -333,7 +333,7 @@ def _variant(
     return CheckedVariant(name, tau_s, frailty, quantities)
 
 
-def held_out_memories(
+def laws_of_parts(
     tracks: TrackTable,
     surface: FloatArray,
     *,
@@ -364,7 +364,7 @@ def held_out_memories(
     return found
 
 
-def own_memories(pem: Pem) -> dict[Variant, tuple[Law, ...]]:
+def own_laws(pem: Pem) -> dict[Variant, tuple[Law, ...]]:
     """The laws of misses of a model's variants, for tracks of one part.
 
     Independent, and what it carries; on a card with a check stand a memory time and a frailty
@@ -407,7 +407,7 @@ def check_model(
         tracks,
         pem.logit(tracks.obstacles.salient),
         part=np.zeros(len(tracks), dtype=np.int64),
-        memories=own_memories(pem),
+        laws=own_laws(pem),
         errors=errors,
         same_data=same_data,
         draws=draws,
@@ -429,14 +429,14 @@ def check_held_out(
 ) -> Checked:
     """Check a kind of model whose every part of the sequences is told by the others'.
 
-    See :func:`check_tracks`; ``surface`` and ``visibilities`` as in :func:`held_out_memories`.
+    See :func:`check_tracks`; ``surface`` and ``visibilities`` as in :func:`laws_of_parts`.
     """
     part = held_out.part
     return check_tracks(
         tracks,
         held_out.logit,
         part=part,
-        memories=held_out_memories(tracks, surface, part=part, visibilities=visibilities),
+        laws=laws_of_parts(tracks, surface, part=part, visibilities=visibilities),
         errors=errors,
         folds=held_out.folds,
         draws=draws,
@@ -453,7 +453,7 @@ def _draws(
     tracks: TrackTable,
     logit: FloatArray,
     part: IntArray,
-    memories: Sequence[Law],
+    laws: Sequence[Law],
     *,
     sizes: Sequence[int],
     root: np.random.SeedSequence,
@@ -462,15 +462,15 @@ def _draws(
 
     A draw is the same however many are drawn at a time.
     """
-    *of_parts, rest = map(np.random.default_rng, root.spawn(len(memories) + 1))
-    chosen = [part == each for each in range(len(memories))]
+    *of_parts, rest = map(np.random.default_rng, root.spawn(len(laws) + 1))
+    chosen = [part == each for each in range(len(laws))]
     tables = [tracks.only(rows) for rows in chosen]
     for several in sizes:
         outcomes = np.empty((several, len(tracks)), dtype=np.bool_)
-        for rows, table, memory, random in zip(chosen, tables, memories, of_parts, strict=True):
+        for rows, table, law, random in zip(chosen, tables, laws, of_parts, strict=True):
             if rows.any():
                 outcomes[:, rows] = sample_outcomes(
-                    table, logit[rows], memory=memory, samples=several, random=random
+                    table, logit[rows], law=law, samples=several, random=random
                 )
         yield outcomes, rest
 
