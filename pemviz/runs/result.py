@@ -185,8 +185,10 @@ class RunMemory:
 
     @property
     def is_own_visibility(self) -> bool:
-        """Whether it is the visibility that the error model carries, and nothing else."""
-        return bool(self.carried) and self.hidden == (self.carried,) == (self.visibility,)
+        """Whether it is the visibility that was fitted for the error model, and nothing else."""
+        if self.fitted is None or not self.carried:
+            return False
+        return self.hidden == (self.visibility,) == (self.carried,)
 
     @property
     def left_out(self) -> str:
@@ -207,20 +209,19 @@ def memory_of(pem: Pem) -> RunMemory:
         visibility="" if taken is None else taken.label,
         carried="" if carried is None else carried.label,
     )
-    if own is None:
-        return replace(run, check=_own_check(single, _variant_of(run)))
-    low_s, high_s = own.tau_interval_s
-    low, high = own.frailty_interval or (None, None)
-    fitted = MeasuredTau(
-        tau_s=own.memory.tau_s,
-        low_s=low_s,
-        high_s=high_s,
-        confidence=own.confidence,
-        frailty=own.memory.frailty,
-        frailty_low=low,
-        frailty_high=high,
-    )
-    run = replace(run, fitted=fitted)
+    if own is not None:
+        low_s, high_s = own.tau_interval_s
+        low, high = own.frailty_interval or (None, None)
+        fitted = MeasuredTau(
+            tau_s=own.memory.tau_s,
+            low_s=low_s,
+            high_s=high_s,
+            confidence=own.confidence,
+            frailty=own.memory.frailty,
+            frailty_low=low,
+            frailty_high=high,
+        )
+        run = replace(run, fitted=fitted)
     return replace(run, check=_own_check(single, _variant_of(run)))
 
 

@@ -101,7 +101,7 @@ def held_out_laws(
     logit: FloatArray,
     *,
     part: IntArray,
-    start: VaryingFrailty | None = None,
+    start: VaryingFrailty,
     on_progress: Progress | None = None,
 ) -> tuple[VaryingFrailty, ...]:
     """The law of each part of the sequences, fitted to the others, in processes.
@@ -110,7 +110,7 @@ def held_out_laws(
         tracks: n observations.
         logit: As in :func:`fit_varying_frailty`.
         part: Which part each observation is of ``[n]``; a sequence lies in one.
-        start: Where the search begins, such as the law of all; it takes a third of the time then.
+        start: Where each search begins: the law of all.
         on_progress: Called with parts done and parts in all.
 
     Raises:
@@ -125,7 +125,7 @@ def held_out_laws(
         if on_progress is not None:
             on_progress(done, len(parts))
 
-    fit = partial(_law_without, tracks, logit, part, start=start)
+    fit = partial(_law_without, tracks, logit, part, start)
     return tuple(map_in_processes(fit, parts, workers=usable_cpus(), on_done=tell))
 
 
@@ -133,8 +133,8 @@ def _law_without(
     tracks: TrackTable,
     logit: FloatArray,
     part: IntArray,
+    start: VaryingFrailty,
     left_out: int,
-    start: VaryingFrailty | None = None,
 ) -> VaryingFrailty:
     others = part != left_out
     seen = tracks.only(others)
@@ -160,7 +160,7 @@ def likeliest_law(
 
     done = 0
 
-    def rising(place: FloatArray) -> float:
+    def negative_log_likelihood(place: FloatArray) -> float:
         nonlocal done
         done += 1
         if on_progress is not None:
@@ -168,12 +168,15 @@ def likeliest_law(
         return -float(sequence_log_likelihoods(tracks, logit, _law(place)).sum())
 
     starts = STARTS if start is None else [(start.frailty, start.varying, start.varying_s)]
-    begin = min((np.log(np.maximum(one, LEAST_START)) for one in starts), key=rising)
+    places = [np.log(np.maximum(one, LEAST_START)) for one in starts]
+    begin = min(places, key=negative_log_likelihood) if len(places) > 1 else places[0]
     radius = FAR if start is None else NEAR
     options = {"maxfev": MOST, "initial_tr_radius": radius, "final_tr_radius": FOUND}
     bounds = list(zip(LOW, HIGH, strict=True))
     # by values alone: a slope would cost three of them, and the ridge is long
-    found = minimize(rising, begin, method="COBYQA", bounds=bounds, options=options)
+    found = minimize(
+        negative_log_likelihood, begin, method="COBYQA", bounds=bounds, options=options
+    )
     law = _law(np.asarray(found.x))
     if on_progress is not None:
         on_progress(MOST, MOST)
