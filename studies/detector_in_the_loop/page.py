@@ -144,7 +144,7 @@ def why_table(why: Mapping[str, Explained]) -> str:
     lines = [
         "| setting | frames, gaps | all missed in the loop | memory and frailty of these outcomes "
         "themselves, and what they give | with the loop's own shares: independent, memory, "
-        "frailty, both | with the model's P(missed): the same | P(missed) in the last "
+        "frailty, both, visibility | with the model's P(missed): the same | P(missed) in the last "
         "frame: loop, model, model with copied outcomes |",
         "|---|---|---|---|---|---|---|",
     ]

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from pemviz.files.atomic import write_text
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from studies.detector_in_the_loop.drives import FRAMES
 from studies.detector_in_the_loop.labelled import RATE_HZ
 from studies.detector_in_the_loop.settings import Setting
@@ -75,6 +76,13 @@ class Variant:
     unseen: tuple[str, ...]
     varying: float = 0.0
     varying_s: float = 0.0
+
+    @property
+    def law(self) -> tuple[float, float] | VaryingFrailty:
+        """Memory time and frailty, or the visibility."""
+        if self.varying:
+            return VaryingFrailty(self.frailty, self.varying, self.varying_s)
+        return self.tau_s, self.frailty
 
     @property
     def options(self) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from studies.detector_in_the_loop.worlds import BrakingWorld, CutInWorld, World
 SEED = 20261126
 TRAINING, VALIDATION, LABELLED, HELD_OUT, TRUTH, SPLITTING, WHY = range(7)
 """Purposes: scenes of one are never those of another."""
-SPLITTING_RUNS = 5
 BLOCK = 500
 """Rollouts that are drawn together."""
 ENOUGH = 400
@@ -77,7 +76,11 @@ class Effort:
     frames_by_kind: int = 10_000
     share: float = 1.0
     scenes: int = 3_000
-    splitting_runs: int = SPLITTING_RUNS
+    splitting_runs: int = 8
+
+    def rollouts_of(self, setting: Setting) -> int:
+        """How many rollouts of a setting are counted at most."""
+        return max(500, int(setting.rollouts * self.share))
 
 
 WHOLE = Effort()
@@ -113,7 +116,7 @@ SETTINGS = (
         "rain",
         0.0,
         levels_m=(16.0, 12.0, 8.0, 4.0),
-        particles=20_000,
+        particles=10_000,
     ),
     Setting("cut-in-fair", CutInWorld(), "fair", 1.2),
     Setting("fast-all", FAST, "all", 0.6),

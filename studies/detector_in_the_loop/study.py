@@ -21,7 +21,6 @@ from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
     VARIANTS,
-    VISIBILITY,
     Answer,
     Fitted,
     fitted,
@@ -32,10 +31,10 @@ from studies.detector_in_the_loop.predictions import (
 )
 from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, Domain, draw_scenes
 from studies.detector_in_the_loop.settings import (
+    BLOCK,
     HELD_OUT,
     LABELLED,
     SETTINGS,
-    SPLITTING_RUNS,
     TRAINING,
     VALIDATION,
     WHY,
@@ -45,7 +44,7 @@ from studies.detector_in_the_loop.settings import (
 )
 from studies.detector_in_the_loop.splitting import of_runs, split_run
 from studies.detector_in_the_loop.training import draw_pictures, quality_of, train
-from studies.detector_in_the_loop.truth import Count, counted
+from studies.detector_in_the_loop.truth import Count, count_block, counted
 from studies.detector_in_the_loop.why import Explained, OwnMemory, explained
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
@@ -278,40 +277,6 @@ def _kinds(data: Path, names: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def the_truth(
-    folder: Path,
-    setting: Setting,
-    detector: Detector,
-    *,
-    share: float,
-    tell: Tell,
-    splitting_runs: int = SPLITTING_RUNS,
-) -> Truth:
-    """Plain rollouts, and splitting where these show too little."""
-    wanted = max(500, int(setting.rollouts * share))
-
-    def on_block(count: Count, rollouts: int) -> None:
-        tell(f"{setting.name}: {count.failed} of {count.rollouts} fail, {rollouts} wanted")
-
-    count = counted(setting, detector, folder / "truth", rollouts=wanted, on_block=on_block)
-    low, high = count.interval
-    plain = Truth(count.probability, low, high, "counted", count)
-    if not setting.levels_m or not isinstance(setting.world, BrakingWorld):
-        return plain
-    path = folder / "truth" / f"{setting.name}-splitting.json"
-    runs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-    particles = max(300, int(setting.particles * min(1.0, 5.0 * share)))
-    for run in range(len(runs), splitting_runs):
-        levels_m = np.array(setting.levels_m)
-        loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
-        made = split_run(setting, loop, levels_m=levels_m, count=particles, run=run)
-        runs.append(asdict(made))
-        write_text(path, json.dumps(runs))
-        tell(f"{setting.name}, splitting: {made.probability:.2e}, {made.shares}")
-    probability, low, high = of_runs([run["probability"] for run in runs])
-    return Truth(probability, low, high, f"{len(runs)} runs of splitting", count)
-
-
 def predictions(
     folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, fine: bool = False
 ) -> list[Row]:
@@ -339,25 +304,67 @@ def _predictions_of(
 
 
 def truths(folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell) -> dict[str, Truth]:
-    """The truth of each setting named, each in a process; those that take longest begin first."""
+    """The truth of each setting named: plain rollouts, and splitting where these show too little.
+
+    Runs of splitting, which take longest, come first; then all settings' first blocks of rollouts,
+    their second ones and so on.
+    """
     the_detector(folder, effort, tell)
     chosen = [setting for setting in SETTINGS if setting.name in names]
-    begun = sorted(chosen, key=lambda setting: -len(setting.levels_m))
-    found = in_processes(partial(_truth_of, folder, effort, tell), begun)
-    by_name = {setting.name: one for setting, one in zip(begun, found, strict=True)}
-    return {setting.name: by_name[setting.name] for setting in chosen}
+    runs = [
+        partial(_split, folder, effort, tell, setting, run)
+        for setting in chosen
+        for run in range(effort.splitting_runs if setting.levels_m else 0)
+    ]
+    blocks = [
+        (block, place, partial(_count, folder, effort, tell, setting, block))
+        for place, setting in enumerate(chosen)
+        for block in range(-(-effort.rollouts_of(setting) // BLOCK))
+    ]
+    blocks.sort(key=lambda each: each[:2])
+    in_processes(_called, [*runs, *(call for _, _, call in blocks)])
+    return {setting.name: _truth(folder / "truth", setting) for setting in chosen}
 
 
-def _truth_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Truth:
+def _called(call: Callable[[], None]) -> None:
+    call()
+
+
+def _count(folder: Path, effort: Effort, tell: Tell, setting: Setting, block: int) -> None:
+    detector, kept = the_detector(folder, effort, tell), folder / "truth"
+    if count_block(setting, detector, kept, block=block):
+        count, wanted = counted(setting, kept), effort.rollouts_of(setting)
+        tell(f"{setting.name}: {count.failed} of {count.rollouts} fail, {wanted} wanted")
+
+
+def _split(folder: Path, effort: Effort, tell: Tell, setting: Setting, run: int) -> None:
+    path = _run_path(folder / "truth", setting, run)
+    if path.exists():
+        return
     detector = the_detector(folder, effort, tell)
-    return the_truth(
-        folder,
-        setting,
-        detector,
-        share=effort.share,
-        tell=tell,
-        splitting_runs=effort.splitting_runs,
-    )
+    loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
+    count = max(300, int(setting.particles * min(1.0, 5.0 * effort.share)))
+    made = split_run(setting, loop, levels_m=np.array(setting.levels_m), count=count, run=run)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(asdict(made)))
+    tell(f"{setting.name}, splitting: {made.probability:.2e}, {made.shares}")
+
+
+def _run_path(folder: Path, setting: Setting, run: int) -> Path:
+    return folder / f"{setting.name}-splitting" / f"{run:02d}.json"
+
+
+def _truth(folder: Path, setting: Setting) -> Truth:
+    count = counted(setting, folder)
+    if not setting.levels_m:
+        return Truth(count.probability, *count.interval, "counted", count)
+    files = sorted(_run_path(folder, setting, 0).parent.glob("*.json"))
+    runs = [json.loads(path.read_text(encoding="utf-8"))["probability"] for path in files]
+    probability, low, high = of_runs(runs)
+    if high == 1.0 and count.failed:
+        apart = f"{len(runs)} runs of splitting, too different for an interval: {probability:.2g}"
+        return Truth(count.probability, *count.interval, f"counted; {apart}", count)
+    return Truth(probability, low, high, f"{len(runs)} runs of splitting", count)
 
 
 def reasons(
@@ -388,15 +395,11 @@ def _reason_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Ex
     if not path.exists():
         detector = the_detector(folder, effort, tell)
         model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell)
-        memories = {
-            name: (one.tau_s, one.frailty)
-            for name, one in model.variants.items()
-            if name != VISIBILITY
-        }
+        laws = {name: one.law for name, one in model.variants.items()}
         place = tuple(setting.name.encode())
         scenes = draw_scenes(setting.domain, count=effort.scenes, cars=1, seeds=seeds(WHY, *place))
         loop = Loop(setting.world, detector, setting.threshold(detector.threshold))
-        made = explained(loop, scenes, load_pem(str(model.path)), memories)
+        made = explained(loop, scenes, load_pem(str(model.path)), laws)
         write_text(path, json.dumps(asdict(made)))
         tell(f"{setting.name}: all frames missed {made.all_missed:.2e}; {made.by_variant}")
     document = json.loads(path.read_text(encoding="utf-8"))

@@ -1,7 +1,6 @@
 """The truth, counted: plain rollouts of the closed loop in blocks, each kept once it is done."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,52 +69,58 @@ def _place(setting: Setting) -> tuple[int, ...]:
     return tuple(setting.name.encode())
 
 
-def counted(
-    setting: Setting,
-    detector: Detector,
-    folder: Path,
-    *,
-    rollouts: int,
-    on_block: Callable[[Count, int], None] | None = None,
-) -> Count:
-    """Count failures until ``ENOUGH`` are there, or of at least so many rollouts.
+def count_block(setting: Setting, detector: Detector, folder: Path, *, block: int) -> bool:
+    """Count the failures of a block and keep them in ``folder``.
 
-    It goes on from what is kept in ``folder``.
+    Nothing is done where they are kept, or where ``ENOUGH`` have failed in the blocks before.
+
+    Returns:
+        Whether it was counted.
 
     Raises:
         OSError: A file cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{setting.name}.json"
-    blocks = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-    for block in range(len(blocks), -(-rollouts // BLOCK)):
-        if summed(blocks).failed >= ENOUGH:
-            break
-        driven = driven_block(setting, detector, block=block, rollouts=BLOCK)
-        scenes = block_scenes(setting, block)
-        kinds = [
-            f"{LIGHTS[int(light)]}, {WEATHERS[int(weather)]}"
-            for light, weather in zip(scenes.column("light"), scenes.column("weather"), strict=True)
-        ]
-        hidden = {
-            kind: (
-                sum(bool(f) for k, f in zip(kinds, driven.failed, strict=True) if k == kind),
-                kinds.count(kind),
-            )
-            for kind in sorted(set(kinds))
-        }
-        blocks.append(
-            {
-                "failed": int(driven.failed.sum()),
-                "rollouts": BLOCK,
-                "frames": int(driven.looks.step.size),
-                "hidden": hidden,
-            }
+    path = _path(folder, setting, block)
+    if path.exists() or counted(setting, folder).failed >= ENOUGH:
+        return False
+    driven = driven_block(setting, detector, block=block, rollouts=BLOCK)
+    scenes = block_scenes(setting, block)
+    kinds = [
+        f"{LIGHTS[int(light)]}, {WEATHERS[int(weather)]}"
+        for light, weather in zip(scenes.column("light"), scenes.column("weather"), strict=True)
+    ]
+    hidden = {
+        kind: (
+            sum(bool(f) for k, f in zip(kinds, driven.failed, strict=True) if k == kind),
+            kinds.count(kind),
         )
-        write_text(path, json.dumps(blocks))
-        if on_block is not None:
-            on_block(summed(blocks), rollouts)
+        for kind in sorted(set(kinds))
+    }
+    document = {
+        "failed": int(driven.failed.sum()),
+        "rollouts": BLOCK,
+        "frames": int(driven.looks.step.size),
+        "hidden": hidden,
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(document))
+    return True
+
+
+def counted(setting: Setting, folder: Path) -> Count:
+    """What the blocks kept in ``folder`` come to: from the first to the one by which ENOUGH failed.
+
+    So the count is the same however many processes work on blocks beside each other.
+    """
+    blocks, failed = [], 0
+    while failed < ENOUGH and (path := _path(folder, setting, len(blocks))).exists():
+        blocks.append(json.loads(path.read_text(encoding="utf-8")))
+        failed += blocks[-1]["failed"]
     return summed(blocks)
+
+
+def _path(folder: Path, setting: Setting, block: int) -> Path:
+    return folder / setting.name / f"{block:04d}.json"
 
 
 def summed(blocks: list[dict]) -> Count:  # pyright: ignore[reportMissingTypeArgument]

@@ -16,6 +16,7 @@ from scipy.special import logit
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.memory import VisibilityNodes, log_sums, persistence, remembered_outcomes
 from pemviz.pem.models.protocol import Pem
+from pemviz.pem.models.varying_frailty import VaryingFrailty, VaryingNodes
 from studies.detector_in_the_loop.drives import DT_S
 from studies.detector_in_the_loop.loop import Loop, with_traffic
 from studies.detector_in_the_loop.scene import Scenes
@@ -150,9 +151,7 @@ def own_memory(window: Window) -> OwnMemory:
             told = log_likelihood(patterns, shares, tau_s=tau_s, frailty=frailty) @ numbers
             if told > best:
                 best, chosen = told, (float(tau_s), float(frailty))
-    every = np.ones((1, shares.size), dtype=np.bool_)
-    log_p = log_likelihood(every, shares, tau_s=chosen[0], frailty=chosen[1])
-    return OwnMemory(*chosen, float(np.exp(log_p[0])))
+    return OwnMemory(*chosen, all_missed(shares, chosen))
 
 
 @dataclass(frozen=True)
@@ -167,8 +166,8 @@ class Explained:
         all_missed: How often all are, in the loop.
         scenes: That were looked at.
         own: What the loop's outcomes would have as their memory.
-        by_variant: How likely all are missed with the variant's memory: with the loop's shares, and
-            with the model's.
+        by_variant: How likely all are missed with the variant's law of misses: with the loop's
+            shares, and with the model's.
     """
 
     gap_m: tuple[float, ...]
@@ -182,28 +181,42 @@ class Explained:
 
 
 def explained(
-    loop: Loop, scenes: Scenes, pem: Pem, memories: Mapping[str, tuple[float, float]]
+    loop: Loop,
+    scenes: Scenes,
+    pem: Pem,
+    laws: Mapping[str, tuple[float, float] | VaryingFrailty],
 ) -> Explained:
-    """Take apart what a model with several memories (tau [s], frailty) predicts of a window."""
+    """Take apart what a model with several laws of misses predicts of a window.
+
+    Each is a memory (tau [s], frailty), as that of ``both`` has to be, or a visibility.
+    """
     window = decisive_window(loop, scenes)
     count = len(window.missed)
     own_shares = window.shares.clip(0.5 / count, 1.0 - 0.5 / count)
     model = model_shares(loop, window, pem)
-    every = np.ones((1, window.gap_m.size), dtype=np.bool_)
-
-    def all_missed(shares: FloatArray, tau_s: float, frailty: float) -> float:
-        return float(np.exp(log_likelihood(every, shares, tau_s=tau_s, frailty=frailty)[0]))
-
+    both = laws["both"]
+    assert not isinstance(both, VaryingFrailty)  # noqa: S101  the docstring asks for it
     return Explained(
         gap_m=tuple(window.gap_m.tolist()),
         loop=tuple(window.shares.tolist()),
         model=tuple(model.tolist()),
-        lagged=tuple(lagged(model, tau_s=memories["both"][0]).tolist()),
+        lagged=tuple(lagged(model, tau_s=both[0]).tolist()),
         all_missed=window.all_missed,
         scenes=count,
         own=own_memory(window),
         by_variant={
-            name: (all_missed(own_shares, *memory), all_missed(model, *memory))
-            for name, memory in memories.items()
+            name: (all_missed(own_shares, law), all_missed(model, law))
+            for name, law in laws.items()
         },
     )
+
+
+def all_missed(shares: FloatArray, law: tuple[float, float] | VaryingFrailty) -> float:
+    """How likely frames with these P(missed) ``[W]`` are missed throughout."""
+    missed = np.ones((1, shares.size), dtype=np.bool_)
+    if isinstance(law, VaryingFrailty):
+        return float(
+            np.exp(VaryingNodes(law, DT_S).log_likelihood(-logit(shares)[None], ~missed)[0])
+        )
+    tau_s, frailty = law
+    return float(np.exp(log_likelihood(missed, shares, tau_s=tau_s, frailty=frailty)[0]))

@@ -6,18 +6,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
+from scipy.stats import multivariate_normal
 
 from pemviz.config import ScenarioConfig
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.protocol import SALIENT_COLUMNS
+from pemviz.pem.models.varying_frailty import VaryingFrailty
 from pemviz.sampling.state.visibility import Visibility
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from studies.detector_in_the_loop.page_words import holds, ratio_of, ratio_words
 from studies.detector_in_the_loop.predictions import Answer, coarsened, mixed
 from studies.detector_in_the_loop.settings import FAR, SETTINGS
 from studies.detector_in_the_loop.study import Truth, by_domain
-from studies.detector_in_the_loop.truth import Count, counted, exact_interval
-from studies.detector_in_the_loop.why import Window, lagged, log_likelihood, own_memory
+from studies.detector_in_the_loop.truth import Count, count_block, counted, exact_interval
+from studies.detector_in_the_loop.why import Window, all_missed, lagged, log_likelihood, own_memory
 
 SHARES = np.array([0.9, 0.5, 0.05, 0.3])
 
@@ -52,6 +54,13 @@ def test_with_both_it_is_what_runs_of_pemviz_have():
     wanted = visibility.log_likelihood(np.tile(own, (50, 1)), ~missed)
     told = log_likelihood(missed, SHARES, tau_s=0.1, frailty=0.7)
     np.testing.assert_allclose(told, wanted, rtol=1e-9)
+
+
+def test_a_visibility_misses_two_frames_as_two_normals_do():
+    law, shares = VaryingFrailty(0.8, 1.4, 0.3), np.array([0.2, 0.05])
+    correlation = (0.8**2 + 1.4**2 * np.exp(-0.1 / 0.3)) / (1.0 + 0.8**2 + 1.4**2)
+    normals = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
+    assert all_missed(shares, law) == pytest.approx(normals.cdf(ndtri(shares)), rel=1e-6)
 
 
 def test_a_memory_is_found_again():
@@ -127,11 +136,12 @@ def test_a_setting_is_counted_until_enough_fail(tmp_path, monkeypatch):
 
     monkeypatch.setattr("studies.detector_in_the_loop.truth.driven_block", block_of)
     setting = next(one for one in SETTINGS if one.name == "far-fair")
-    count = counted(setting, None, tmp_path, rollouts=100_000)
-    assert (count.failed, count.rollouts, driven) == (501, 1_500, [0, 1, 2])
-    assert counted(setting, None, tmp_path, rollouts=100_000) == count  # nothing is driven again
-    assert driven == [0, 1, 2]
-    assert counted(setting, None, tmp_path / "few", rollouts=700).rollouts == 1_000
+    # as processes that are ahead of each other do it
+    counts = [count_block(setting, None, tmp_path, block=block) for block in (1, 0, 0, 4, 2, 3, 5)]
+    assert (driven, counts) == ([1, 0, 4, 2], [True, True, False, True, True, False, False])
+    count = counted(setting, tmp_path)
+    assert (count.failed, count.rollouts, count.frames) == (501, 1_500, 21)
+    assert counted(setting, tmp_path / "none").rollouts == 0
 
 
 def test_settings_of_a_domain_are_worked_on_together():

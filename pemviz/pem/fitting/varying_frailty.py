@@ -20,10 +20,10 @@ from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.varying_frailty import LARGEST, NodeGrid, VaryingFrailty, VaryingNodes
 from pemviz.processes import map_in_processes, usable_cpus
 
-GRID = NodeGrid(farthest=6.0, of_lasting=0.4, of_varying=0.8)
+GRID = NodeGrid(farthest=6.0, of_lasting=0.5, of_varying=1.2)
 """A likelihood is no tail: this is good for 1e-3 of its logarithm."""
-TRACKS = 256
-"""Gone through at once."""
+TRACKS = 32
+"""Gone through at once: more do not stay in a core's cache."""
 TIMES_S = 1e-3
 """Times between frames are rounded to this."""
 LOW, HIGH = np.log([0.02, 0.05, 0.02]), np.log([4.0, LARGEST, 8.0])
@@ -38,7 +38,7 @@ NEARLY_NONE = 0.03
 Progress = Callable[[int, int], None]
 MOST = 200
 """Evaluations of the likelihood."""
-FAR, NEAR = 0.7, 0.2
+FAR, NEAR = 0.7, 0.35
 """How far a search looks at first, in logarithms of the parameters: from one of ``STARTS``, or from
 the law of nearly the same tracks."""
 FOUND = 0.04
