@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import torch
 
@@ -14,6 +15,7 @@ from pemviz.files.atomic import write_json
 from studies.detector_in_the_loop.page import write_page
 from studies.detector_in_the_loop.settings import QUICK, SETTINGS, WHOLE
 from studies.detector_in_the_loop.study import (
+    Labels,
     document_of,
     predictions,
     reasons,
@@ -36,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--share", type=float, help="of the rollouts of each setting, 0 to 1")
     parser.add_argument("--frames", type=int, nargs="+", help="labelled frames of predictions")
     parser.add_argument(
-        "--fine", action="store_true", help="predictions from tables as they come, alone"
+        "--labels", choices=get_args(Labels), default="usual", help="predictions from others, alone"
     )
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
@@ -49,8 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         effort = replace(effort, frames=tuple(given.frames), frames_by_kind=by_kind)
     tell = partial(tell_since, time.time())
     given.out.mkdir(parents=True, exist_ok=True)
-    if given.fine:
-        predictions(given.out, effort, names=given.settings, tell=tell, fine=True)
+    if given.labels != "usual":
+        predictions(given.out, effort, names=given.settings, tell=tell, labels=given.labels)
         return 0
     if given.part == "detector":
         the_detector(given.out, effort, tell)

@@ -7,6 +7,9 @@ acceleration normal(0, 1) m/s^2, held above 2 m. The car to the right: log-unifo
 closing speed normal(1, 3) m/s, a lane change of 2.5 to 5 s that begins at -2 to 3 s, where it does
 not come closer than 3 m to the car ahead. The ego's speed is uniform from 5 to 32 m/s.
 
+With ``approaches`` every other sequence's car ahead is come upon fast: 40 to 75 m away at the
+start, closing at 8 to 20 m/s.
+
 A car is labelled where it counts as visible by what ``pemviz.simulators.encounters`` says of sight:
 its centre up to 80 m ahead, less than nine tenths of it hidden.
 """
@@ -115,15 +118,17 @@ def labels_of(scenes: Scenes, poses: FloatArray) -> Labels:
     )
 
 
-def draw_drive(domain: Domain, *, count: int, seeds: np.random.SeedSequence) -> Drive:
-    """That many sequences in a domain."""
+def draw_drive(
+    domain: Domain, *, count: int, seeds: np.random.SeedSequence, approaches: bool = False
+) -> Drive:
+    """That many sequences in a domain, with ``approaches`` or without."""
     scene_seeds, motion_seeds = seeds.spawn(2)
     scenes = draw_scenes(domain, count=count, cars=CARS, seeds=scene_seeds)
     random = np.random.default_rng(motion_seeds)
     time_s = np.arange(FRAMES, dtype=np.float64) * DT_S
     ego_mps = random.uniform(5.0, 32.0, count)[:, None]
     poses = np.zeros((count, FRAMES, CARS + TRAFFIC, 4))
-    poses[:, :, 0] = _ahead(count, time_s, random)
+    poses[:, :, 0] = _ahead(count, time_s, random, approaches=approaches)
     poses[:, :, 1] = _beside(count, time_s, random, ahead_m=poses[:, :, 0, 1])
     traffic_m = scenes.column("traffic_m")[:, None]
     poses[:, :, 2, 0] = -LANE_M
@@ -132,11 +137,18 @@ def draw_drive(domain: Domain, *, count: int, seeds: np.random.SeedSequence) -> 
     return Drive(scenes=scenes, poses=poses, travelled_m=ego_mps * time_s)
 
 
-def _ahead(count: int, time_s: FloatArray, random: np.random.Generator) -> FloatArray:
+def _ahead(
+    count: int, time_s: FloatArray, random: np.random.Generator, *, approaches: bool
+) -> FloatArray:
     """Poses of the car in the lane ``[S, T, 4]``."""
     gap_m = np.exp(random.uniform(np.log(3.0), np.log(70.0), count))[:, None]
     closing_mps = random.normal(0.0, 3.0, count)[:, None]
     closing_mps2 = random.normal(0.0, 1.0, count)[:, None]
+    if approaches:
+        fast = np.arange(count)[:, None] % 2 == 0
+        gap_m = np.where(fast, random.uniform(40.0, 75.0, (count, 1)), gap_m)
+        closing_mps = np.where(fast, random.uniform(8.0, 20.0, (count, 1)), closing_mps)
+        closing_mps2 = np.where(fast, 0.0, closing_mps2)
     near_m = gap_m - closing_mps * time_s - 0.5 * closing_mps2 * time_s**2
     near_m = 2.0 + np.logaddexp(0.0, near_m - 2.0)  # smoothly above 2 m
     poses = np.zeros((count, time_s.size, 4))

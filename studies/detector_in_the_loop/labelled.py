@@ -33,11 +33,12 @@ def write_sequences(
     count: int,
     seeds: np.random.SeedSequence,
     offset: int = 0,
+    approaches: bool = False,
 ) -> None:
     """Render, detect and write sequences ``offset`` to ``offset + count``.
 
     They go into ``folder/label_02`` and ``folder/boxes``, their hidden light and weather into
-    ``folder/hidden``. A sequence depends on the seeds and on its own block alone.
+    ``folder/hidden``; ``approaches`` as of :func:`.drives.draw_drive`. A sequence depends on the seeds and on its own block alone.
 
     Raises:
         OSError: A file cannot be written.
@@ -46,7 +47,7 @@ def write_sequences(
         (folder / name).mkdir(parents=True, exist_ok=True)
     for start in range(offset, offset + count, AT_A_TIME):
         block = np.random.SeedSequence(seeds.entropy, spawn_key=(*seeds.spawn_key, start))
-        drive = draw_drive(domain, count=AT_A_TIME, seeds=block)
+        drive = draw_drive(domain, count=AT_A_TIME, seeds=block, approaches=approaches)
         written = min(AT_A_TIME, offset + count - start)
         sequence = np.repeat(np.arange(written), FRAMES)
         step = np.tile(np.arange(FRAMES), written)

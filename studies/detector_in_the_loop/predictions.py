@@ -166,20 +166,20 @@ def fitted(
     folder: Path,
     *,
     threshold: float,
-    fine: bool = False,
+    coarse: bool = True,
     varying: bool = True,
 ) -> Fitted:
     """Collect, fit with memory, and check on other sequences; what is there is kept.
 
-    With ``fine`` the tables are as they come: see :func:`coarsened`. Without ``varying`` the law of
-    a visibility that comes and goes is left out.
+    Without ``coarse`` the tables are as they come: see :func:`coarsened`. Without ``varying`` the
+    law of a visibility that comes and goes is left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / "fitted.json"
     if not kept.exists():
         table = collected(train, folder / "train.csv", threshold=threshold)
         unseen = collected(other, folder / "held-out.csv", threshold=threshold)
-        if not fine:
+        if coarse:
             coarsened(table)
             coarsened(unseen)
         model = folder / "model.safetensors"

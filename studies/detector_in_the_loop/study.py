@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -51,6 +51,9 @@ from studies.detector_in_the_loop.worlds import BrakingWorld
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Tell = Callable[[str], None]
+Labels = Literal["usual", "fine", "approaches"]
+"""Of predictions: as :mod:`.predictions` has them; with sizes and exact places of cars as features;
+from drives of which half come upon the car ahead fast."""
 HIDDEN = "hidden"
 """The variant that knows light and weather: a model for each, with both memory and frailty."""
 FEWEST_OF_A_KIND = 5
@@ -142,7 +145,14 @@ def the_detector(folder: Path, effort: Effort, tell: Tell) -> Detector:
 
 
 def labelled(
-    folder: Path, domain: Domain, detector: Detector, *, frames: int, purpose: int, tell: Tell
+    folder: Path,
+    domain: Domain,
+    detector: Detector,
+    *,
+    frames: int,
+    purpose: int,
+    tell: Tell,
+    approaches: bool = False,
 ) -> list[str]:
     """Names of a domain's sequences with that many frames; those that are missing are rendered."""
     wanted, place = sequences_for(frames), tuple(domain.name.encode())
@@ -152,7 +162,15 @@ def labelled(
             continue
         own = seeds(purpose, *place)
         count = min(AT_A_TIME, wanted - start)
-        write_sequences(domain, detector, folder, count=count, seeds=own, offset=start)
+        write_sequences(
+            domain,
+            detector,
+            folder,
+            count=count,
+            seeds=own,
+            offset=start,
+            approaches=approaches,
+        )
         tell(f"{domain.name}: {start + count} of {wanted} sequences labelled")
     return [f"{number:06d}" for number in range(wanted)]
 
@@ -164,27 +182,26 @@ def fitted_to(
     *,
     frames: int,
     tell: Tell,
-    fine: bool = False,
+    labels: Labels = "usual",
 ) -> tuple[Fitted, Path, Sequence[str], Path, Sequence[str]]:
     """The error model of a setting's detector from so many frames, checked on a fifth as many."""
-    domain, data = setting.domain, folder / "labelled" / setting.domain_name
-    names = labelled(data / "train", domain, detector, frames=frames, purpose=LABELLED, tell=tell)
-    others = labelled(
-        data / "other",
-        domain,
-        detector,
-        frames=max(frames // 5, 1_000),
-        purpose=HELD_OUT,
-        tell=tell,
-    )
-    models = "models-fine" if fine else "models"
-    own = folder / models / f"{setting.domain_name}_{setting.strict:g}_{frames}"
+    fast = labels == "approaches"
+    kept = partial(labelled, domain=setting.domain, detector=detector, tell=tell, approaches=fast)
+    data = folder / ("labelled-approaches" if fast else "labelled") / setting.domain_name
+    names = kept(data / "train", frames=frames, purpose=LABELLED)
+    others = kept(data / "other", frames=max(frames // 5, 1_000), purpose=HELD_OUT)
+    own = folder / _named("models", labels) / f"{setting.domain_name}_{setting.strict:g}_{frames}"
     if not (own / "fitted.json").exists():
         subset(data / "train", own / "train", names)
         subset(data / "other", own / "other", others)
     threshold = setting.threshold(detector.threshold)
-    model = fitted(own / "train", own / "other", own, threshold=threshold, fine=fine)
+    coarse = labels != "fine"
+    model = fitted(own / "train", own / "other", own, threshold=threshold, coarse=coarse)
     return model, data / "train", names, own, others
+
+
+def _named(kept: str, labels: Labels) -> str:
+    return kept if labels == "usual" else f"{kept}-{labels}"
 
 
 def possible(setting: Setting) -> tuple[str, ...]:
@@ -199,12 +216,11 @@ def predicted(
     *,
     frames: int,
     tell: Tell,
-    fine: bool = False,
+    labels: Labels = "usual",
 ) -> list[Row]:
     """What is predicted of a setting from so many labelled frames, each variant a row."""
-    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell, fine=fine)
-    kept, rows = "answers-fine" if fine else "answers", list[Row]()
-    answers = folder / kept / setting.name
+    model, *_ = fitted_to(folder, setting, detector, frames=frames, tell=tell, labels=labels)
+    answers, rows = folder / _named("answers", labels) / setting.name, list[Row]()
     answers.mkdir(parents=True, exist_ok=True)
     for name in VARIANTS:
         if (variant := model.variants.get(name)) is None or name not in possible(setting):
@@ -278,26 +294,31 @@ def _kinds(data: Path, names: Sequence[str]) -> dict[str, str]:
 
 
 def predictions(
-    folder: Path, effort: Effort, *, names: Sequence[str], tell: Tell, fine: bool = False
+    folder: Path,
+    effort: Effort,
+    *,
+    names: Sequence[str],
+    tell: Tell,
+    labels: Labels = "usual",
 ) -> list[Row]:
     """All predictions of the settings named, the fewest frames first; each domain in a process.
 
-    With ``fine`` from tables as they come, and no others.
+    From other labels than the usual ones without those by kind of light and weather.
     """
     the_detector(folder, effort, tell)
     groups = by_domain(setting for setting in SETTINGS if setting.name in names)
-    rows = in_processes(partial(_predictions_of, folder, effort, tell, fine), groups)
+    rows = in_processes(partial(_predictions_of, folder, effort, tell, labels), groups)
     place = {setting.name: number for number, setting in enumerate(SETTINGS)}
     return sorted(chain.from_iterable(rows), key=lambda row: (row.frames, place[row.setting]))
 
 
 def _predictions_of(
-    folder: Path, effort: Effort, tell: Tell, fine: bool, settings: Sequence[Setting]
+    folder: Path, effort: Effort, tell: Tell, labels: Labels, settings: Sequence[Setting]
 ) -> list[Row]:
     detector, rows = the_detector(folder, effort, tell), list[Row]()
     for frames, setting in product(effort.frames, settings):
-        rows += predicted(folder, setting, detector, frames=frames, tell=tell, fine=fine)
-    for setting in () if fine else settings:
+        rows += predicted(folder, setting, detector, frames=frames, tell=tell, labels=labels)
+    for setting in settings if labels == "usual" else ():
         frames = effort.frames_by_kind
         rows += predicted_by_kind(folder, setting, detector, frames=frames, tell=tell)
     return rows
