@@ -38,7 +38,8 @@ def write_sequences(
     """Render, detect and write sequences ``offset`` to ``offset + count``.
 
     They go into ``folder/label_02`` and ``folder/boxes``, their hidden light and weather into
-    ``folder/hidden``; ``approaches`` as of :func:`.drives.draw_drive`. A sequence depends on the seeds and on its own block alone.
+    ``folder/hidden``; ``approaches`` as of :func:`.drives.draw_drive`. A sequence depends on the
+    seeds and on its own block alone.
 
     Raises:
         OSError: A file cannot be written.
