@@ -33,7 +33,9 @@ from pemviz.pem import (
     support_check,
     support_of,
 )
+from pemviz.pem.data.support import closing_warnings
 from pemviz.pem.judging.reweight import MemberEstimates
+from pemviz.pem.models.cards import PemCard, fitted_memory
 from pemviz.pem.models.pieces import chain_logit_along
 from pemviz.pem.models.protocol import chain_log_likelihood
 from pemviz.proposals.fixed import PemProposal
@@ -44,7 +46,8 @@ from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample_batches
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, weighed
-from pemviz.sampling.state.composed import memory_of_pem, own_pem, own_salient
+from pemviz.sampling.slots import turns_of
+from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem, own_salient
 from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.types import RolloutBatch, ScoredRollouts, Simulator
 
@@ -386,4 +389,10 @@ def extrapolation_warnings(
     checked = scored.rollouts.take(slice(SHOWN_ROLLOUTS))
     salient = simulator.salient(checked.decision_states().signals)
     salient = own_salient(pem, salient)
-    return support_check(salient, support=support, pem=own).warnings
+    found = support_check(salient, support=support, pem=own).warnings
+    card = getattr(own, "card", None)
+    if not hidden_in(pem) or not isinstance(card, PemCard) or turns_of(simulator) > 1:
+        return found
+    violating = salient[scored.violated[:SHOWN_ROLLOUTS]]
+    memory = fitted_memory(card.memory, where=pem.name)
+    return (*found, *closing_warnings(violating, dt_s=simulator.dt_s, memory=memory))

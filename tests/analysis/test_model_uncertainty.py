@@ -14,6 +14,7 @@ from pemviz.analysis.model_uncertainty import (
     model_interval,
 )
 from pemviz.config import ExperimentConfig
+from pemviz.pem import load_pem, save_pem
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.engine import run_experiment
 from pemviz.runs.uncertainty import run_diagnostics
@@ -125,3 +126,19 @@ def test_a_model_without_counts_is_said_to_have_none(scored):
     )
     assert len(warnings) == 1
     assert "no counts" in warnings[0]
+
+
+def test_a_memory_of_slow_tracks_is_said_not_to_reach_as_far(tmp_path):
+    """RRC's memory as if of tracks that hardly come closer; without one there is nothing to say."""
+    pem = load_pem("rrc")
+    memory = {**pem.card.memory, "closing_mps": 0.5}
+    path = tmp_path / "slow.safetensors"
+    save_pem(replace(pem, card=replace(pem.card, memory=memory)), path)
+    asked = ExperimentConfig(
+        pem=str(path), method="monte-carlo", final_rollouts=2_000, measured_memory=False
+    )
+    told = [words for words in run_experiment(asked).warnings if "of the memory" in words]
+    assert len(told) == 1
+    assert "close at under 0.5 m/s" in told[0]
+    alone = run_experiment(replace(asked, memory_s=0.0, frailty=0.0))
+    assert not any("of the memory" in words for words in alone.warnings)

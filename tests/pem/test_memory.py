@@ -34,6 +34,7 @@ from pemviz.pem.fitting.memory import (
 from pemviz.pem.judging.independence import POWER, check_independence, expected_gain, needed_sample
 from pemviz.pem.judging.memory_report import (
     CrossFitted,
+    closing_speed_mps,
     cross_fit,
     fit_report,
     residual_correlation,
@@ -41,6 +42,7 @@ from pemviz.pem.judging.memory_report import (
     sample_outcomes,
 )
 from pemviz.pem.models.memory import Memory, frail_logit, persistence, remembering_logit
+from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS
 from tests.pem.synthetic_tracks import draw_tracks, tracks_of
 
 probabilities = st.floats(1e-12, 1.0 - 1e-12)
@@ -314,6 +316,17 @@ def test_a_report_holds_what_a_card_shows():
     lags = [each["lag_s"] for each in tables["correlations"] if each["pairs"]]
     assert lags == [0.1, 0.2, 0.5, 1.0]  # tracks are two seconds long
     assert tables["rate_hz"] == 10.0
+
+
+def test_closing_speeds_are_those_of_pairs_of_frames_of_a_track():
+    """Of 19 pairs that stand still and one that closes 3 m in two tenths of a second."""
+    salient = np.zeros((22, len(SALIENT_COLUMNS)))
+    salient[:, COLUMN["z_m"]] = [*[20.0] * 20, 80.0, 77.0]
+    who = {"sequence": np.zeros(22, int), "track": np.repeat([0, 1], [20, 2])}
+    frame = np.array([*range(20), 4, 6])
+    tracks = tracks_of(np.ones(22), **who, frame=frame, salient=salient)
+    assert closing_speed_mps(tracks) == pytest.approx(np.quantile([*[0.0] * 19, 15.0], 0.95))
+    assert closing_speed_mps(replace(tracks, has_state=False)) is None
 
 
 @pytest.mark.parametrize("memory", [{"tau_s": -0.1}, {"tau_s": math.nan}, {"frailty": 11.0}])

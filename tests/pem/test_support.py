@@ -1,5 +1,7 @@
 """The support check: the counts that KITTI really has, exact bounds, and words that fire."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,9 +22,12 @@ from pemviz.pem.data.support import (
     SHAPE,
     band_in_words,
     cell_of,
+    closing_warnings,
     summarise_support,
     support_from_json,
 )
+from pemviz.pem.models.cards import fitted_memory
+from pemviz.pem.models.protocol import COLUMN, SALIENT_COLUMNS
 from tests.pem.helpers import braking_rows, random_rows
 
 DEFAULT_GAPS = np.linspace(-5.0, 15.0, 200)
@@ -170,3 +175,17 @@ def test_malformed_counts_are_refused(change, words):
     values = {**support_of(load_pem("ml-nn")).to_json(), **change}
     with pytest.raises(PemError, match=words):
         support_from_json(values, where="file")
+
+
+def test_a_memory_of_slow_tracks_says_so_where_obstacles_come_closer_fast():
+    """At 20 m/s until the obstacle lies behind the camera, where its speed says nothing."""
+    salient = np.zeros((3, 12, len(SALIENT_COLUMNS)))
+    salient[..., COLUMN["z_m"]] = [*np.arange(9.0, 0.0, -2.0), *[-1.0] * 7]
+    memory = fitted_memory(load_pem("rrc").card.memory, where="rrc")
+    slow, fast = (replace(memory, closing_mps=speed) for speed in (19.9, 20.1))
+    (told,) = closing_warnings(salient, dt_s=0.1, memory=slow)
+    assert "95% of the pairs" in told
+    assert "under 19.9 m/s, half of the steps of violations at over 20.0 m/s" in told
+    for other in (fast, memory, None):  # as shipped it says nothing of speeds
+        assert closing_warnings(salient, dt_s=0.1, memory=other) == ()
+    assert closing_warnings(salient[:0], dt_s=0.1, memory=slow) == ()

@@ -15,7 +15,7 @@ from pemviz.arrays import FloatArray, IntArray
 from pemviz.binomial import exact_interval, exact_upper_bound
 from pemviz.errors import PemError
 from pemviz.pem.data.table import SalientTable
-from pemviz.pem.models.cards import PemCard
+from pemviz.pem.models.cards import MOST_PAIRS, FittedMemory, PemCard
 from pemviz.pem.models.protocol import CLASS_NAMES, COLUMN, OCCLUSION_NAMES, Pem, as_rows
 from pemviz.pem.models.tabulated import TabulatedPem
 
@@ -220,6 +220,33 @@ def support_check(salient: FloatArray, *, support: SupportSummary, pem: Pem) -> 
         bands.append(band_support)
     words = "; ".join(cell_in_words(*(int(part) for part in kind)) for kind in kinds)
     return SupportReport(words, tuple(bands), tuple(_warnings(bands, obstacle=words)))
+
+
+def closing_warnings(
+    salient: FloatArray, *, dt_s: float, memory: FittedMemory | None
+) -> tuple[str, ...]:
+    """Whether obstacles come closer faster than in the tracks that a memory was fitted to.
+
+    Laws of how misses hang together that fit slow tracks alike differ where P(missed) changes
+    fast.
+
+    Args:
+        salient: Salient variables of violating rollouts' steps ``[N, T, 11]``, ``dt_s`` apart [s].
+        dt_s: Of a step [s].
+        memory: The fitted memory; ``None``, or one without a closing speed: nothing is said.
+    """
+    if memory is None or memory.closing_mps is None:
+        return ()
+    z_m = salient[..., COLUMN["z_m"]]
+    closing_mps = (z_m[:, :-1] - z_m[:, 1:])[z_m[:, 1:] > 0.0] / dt_s
+    if not closing_mps.size or (usual_mps := float(np.median(closing_mps))) <= memory.closing_mps:
+        return ()
+    return (
+        f"extrapolation of the memory: {MOST_PAIRS:.0%} of the pairs of frames it was fitted to "
+        f"close at under {memory.closing_mps:.1f} m/s, half of the steps of violations at over "
+        f"{usual_mps:.1f} m/s: how misses hang together there no track tells; label fast "
+        "approaches",
+    )
 
 
 def data_bound_pem(

@@ -23,7 +23,7 @@ from pemviz.pem.fitting.memory import MemoryFit, check_fittable, fit_memory, mem
 from pemviz.pem.fitting.varying_frailty import VaryingFit
 from pemviz.pem.judging.cross_validation import score
 from pemviz.pem.models import memory as memory_law
-from pemviz.pem.models.cards import FLATTERY_IF, as_pemviz_writes, varying_words
+from pemviz.pem.models.cards import FLATTERY_IF, MOST_PAIRS, as_pemviz_writes, varying_words
 from pemviz.pem.models.ensemble import EnsemblePem, SingleModel
 from pemviz.pem.models.memory import Memory
 from pemviz.pem.models.predictive_check import DISTANCE_BANDS_M, ModelCheck, check_table
@@ -61,8 +61,9 @@ class MemoryReport:
             between two observations; ``run_lengths``, how many runs of misses have 1, 2, ... and
             LONGEST_RUN or more frames, and the means of outcomes that are sampled from the fitted
             model or are independent; ``groups``, the memory time of all observations and of parts
-            of them; ``plain_view``, counts of obstacles neither occluded nor truncated; gaps in
-            tracks, changes of rate, and the most common rate.
+            of them; ``plain_view``, counts of obstacles neither occluded nor truncated;
+            ``closing_mps``, how fast they come closer; gaps in tracks, changes of rate, and the
+            most common rate.
         surface: Log likelihood of each sequence ``[S, taus, frailties]``, which it rests on.
         varying: The other law, a time-varying frailty, where it was fitted too.
     """
@@ -116,6 +117,7 @@ def fit_report(
         "independent_run_lengths": mean_runs(independent),
         "groups": [_group(tracks, logit, *part) for part in _parts(tracks)],
         "plain_view": plain_view(tracks),
+        "closing_mps": closing_speed_mps(tracks),
         "gaps": tracks.gaps,
         "rate_changes": tracks.rate_changes,
         "rate_hz": float(rates[np.argmax(counts)]),
@@ -233,6 +235,14 @@ def plain_view(tracks: TrackTable) -> list[dict[str, Any]]:
         }
         for name, chosen in parts
     ]
+
+
+def closing_speed_mps(tracks: TrackTable) -> float | None:
+    """Closing speed that ``MOST_PAIRS`` of pairs of frames stay below; ``None``: not known."""
+    if not tracks.has_state or not tracks.follows.any():
+        return None
+    nearer_m = -np.diff(tracks.obstacles.salient[:, COLUMN["z_m"]], prepend=0.0)[tracks.follows]
+    return float(np.quantile(nearer_m / tracks.since_s[tracks.follows], MOST_PAIRS))
 
 
 def _bands(tracks: TrackTable) -> list[tuple[str, BoolArray]]:

@@ -5,7 +5,7 @@ stands that of a model of position errors.
 """
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -62,6 +62,8 @@ CAUTION = (
     "What P(missed | state) leaves out and what lasts from frame to frame passes for memory: "
     "another model of it gives another memory time, a shorter or a longer one."
 )
+MOST_PAIRS = 0.95
+"""Of pairs of neighbouring frames of tracks: the share that close more slowly than is told."""
 CLEARLY = 0.05
 """Difference of correlations that a card speaks of."""
 
@@ -131,6 +133,8 @@ class FittedMemory:
         rate_hz: Frames a second of the video.
         varying: The other law, by which the visibility comes and goes; ``None`` where it was not
             fitted.
+        closing_mps: Closing speed that :data:`MOST_PAIRS` of the pairs of neighbouring frames
+            stayed below; ``None`` where that is not known.
     """
 
     memory: Memory
@@ -141,6 +145,7 @@ class FittedMemory:
     observations: int
     rate_hz: float
     varying: VaryingFrailty | None = None
+    closing_mps: float | None = None
 
 
 class Carded:
@@ -283,7 +288,7 @@ def fitted_memory(card_memory: Json, *, where: str) -> FittedMemory | None:
         return None
     with as_pemviz_writes(f"{where}: metadata field 'memory'"):
         fit, memory = card_memory["fit"], card_memory["fit"]["memory"]
-        frailty = fit["frailty_interval"]
+        frailty, closing_mps = fit["frailty_interval"], card_memory.get("closing_mps")
         return FittedMemory(
             memory=Memory(tau_s=_number(memory["tau_s"]), frailty=_number(memory["frailty"])),
             tau_interval_s=_pair(fit["tau_interval_s"]),
@@ -293,6 +298,7 @@ def fitted_memory(card_memory: Json, *, where: str) -> FittedMemory | None:
             observations=int(_number(fit["observations"])),
             rate_hz=_number(card_memory["rate_hz"]),
             varying=_varying(card_memory.get("varying")),
+            closing_mps=None if closing_mps is None else _number(closing_mps),
         )
 
 
@@ -476,10 +482,19 @@ def _memory_facts(memory: Json) -> list[str]:
         f"are independent, {fit['nats']:.3f} with this memory.",
         "- The model's own answer is P(missed | state) without this memory.",
         f"- {memory['gaps']} gaps in tracks, {memory['rate_changes']} changes of rate.",
+        *_closing_lines(memory),
         *([misfit] if lags else []),
         f"- {CAUTION}",
         f"- {memory['flattery']}",
     ]
+
+
+def _closing_lines(memory: Json) -> Iterator[str]:
+    if (closing_mps := memory.get("closing_mps")) is not None:
+        yield (
+            f"- {MOST_PAIRS:.0%} of pairs of neighbouring frames close at under {closing_mps:.1f} "
+            "m/s; how misses hang together where P(missed) changes faster, no track tells."
+        )
 
 
 def _group_cells(row: Json) -> tuple[str, ...]:
