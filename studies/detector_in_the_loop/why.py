@@ -4,14 +4,19 @@ A setting of the braking scenario is lost when the car is missed in every frame 
 the course that the ego takes while it misses, the same in every rollout, all frames of the window
 are looked at: N scenes give outcomes ``[N, W]``. From these come, frame by frame, how often it is
 missed, and how likely all are missed; beside that stands what the error model says of both, and
-which memory time and frailty these outcomes themselves would have, were P(missed) known.
+which memory time and frailty these outcomes themselves would have, were P(missed) known; and what
+normal latents give that have the outcomes' own P(missed) and pairwise correlations: the best that
+any law of a normal visibility could.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logit
+from scipy.linalg import toeplitz
+from scipy.optimize import root_scalar
+from scipy.special import logit, ndtri
+from scipy.stats import multivariate_normal
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.pem.models.memory import VisibilityNodes, log_sums, persistence, remembered_outcomes
@@ -23,6 +28,8 @@ from studies.detector_in_the_loop.scene import Scenes
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
 TAUS_S = np.concatenate([[0.0], np.geomspace(0.02, 2.0, 15)])
+LOOSEST, TIGHTEST = -0.99, 0.999
+"""Correlations of normal latents."""
 FRAILTIES = np.linspace(0.0, 4.0, 17)
 
 
@@ -154,6 +161,44 @@ def own_memory(window: Window) -> OwnMemory:
     return OwnMemory(*chosen, all_missed(shares, chosen))
 
 
+def all_missed_if_normal(window: Window) -> float:
+    """How likely all frames are missed if a normal latent of each falls below a quantile.
+
+    The latents' correlation of frames a lag apart is that by which as many pairs are missed as were
+    (a tetrachoric correlation, pooled over the pairs of a lag; Pearson 1900).
+    """
+    count, frames = window.missed.shape
+    quantile = ndtri(window.shares.clip(0.5 / count, 1.0 - 0.5 / count))
+    by_lag = [1.0, *(_tetrachoric(window.missed, quantile, lag=lag) for lag in range(1, frames))]
+    values, vectors = np.linalg.eigh(toeplitz(by_lag))
+    matrix = (vectors * values.clip(1e-9)) @ vectors.T
+    spread = np.sqrt(np.diag(matrix))
+    normals = multivariate_normal(
+        cov=matrix / np.outer(spread, spread),  # pyright: ignore[reportArgumentType]  scipy's stub
+        seed=0,
+        maxpts=20_000 * frames,
+        abseps=1e-6,
+        releps=1e-2,
+    )
+    return float(normals.cdf(quantile))
+
+
+def _tetrachoric(missed: BoolArray, quantile: FloatArray, *, lag: int) -> float:
+    pairs = np.stack([quantile[:-lag], quantile[lag:]], axis=1)
+    both = float((missed[:, :-lag] & missed[:, lag:]).mean(axis=0).sum())
+
+    def excess(correlation: float) -> float:
+        two = np.array([[1.0, correlation], [correlation, 1.0]])
+        normals = multivariate_normal(cov=two)  # pyright: ignore[reportArgumentType]  scipy's stub
+        return float(np.sum(normals.cdf(pairs))) - both
+
+    if excess(LOOSEST) >= 0.0:
+        return LOOSEST
+    if excess(TIGHTEST) <= 0.0:
+        return TIGHTEST
+    return root_scalar(excess, bracket=(LOOSEST, TIGHTEST), xtol=1e-4).root
+
+
 @dataclass(frozen=True)
 class Explained:
     """A prediction taken apart.
@@ -166,6 +211,7 @@ class Explained:
         all_missed: How often all are, in the loop.
         scenes: That were looked at.
         own: What the loop's outcomes would have as their memory.
+        normal: How likely all are missed with normal latents of the outcomes' own correlations.
         by_variant: How likely all are missed with the variant's law of misses: with the loop's
             shares, and with the model's.
     """
@@ -177,6 +223,7 @@ class Explained:
     all_missed: float
     scenes: int
     own: OwnMemory
+    normal: float
     by_variant: dict[str, tuple[float, float]]
 
 
@@ -204,6 +251,7 @@ def explained(
         all_missed=window.all_missed,
         scenes=count,
         own=own_memory(window),
+        normal=all_missed_if_normal(window),
         by_variant={
             name: (all_missed(own_shares, law), all_missed(model, law))
             for name, law in laws.items()

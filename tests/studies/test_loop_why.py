@@ -19,7 +19,14 @@ from studies.detector_in_the_loop.predictions import Answer, coarsened, mixed
 from studies.detector_in_the_loop.settings import FAR, SETTINGS
 from studies.detector_in_the_loop.study import Truth, by_domain
 from studies.detector_in_the_loop.truth import Count, count_block, counted, exact_interval
-from studies.detector_in_the_loop.why import Window, all_missed, lagged, log_likelihood, own_memory
+from studies.detector_in_the_loop.why import (
+    Window,
+    all_missed,
+    all_missed_if_normal,
+    lagged,
+    log_likelihood,
+    own_memory,
+)
 
 SHARES = np.array([0.9, 0.5, 0.05, 0.3])
 
@@ -61,6 +68,21 @@ def test_a_visibility_misses_two_frames_as_two_normals_do():
     correlation = (0.8**2 + 1.4**2 * np.exp(-0.1 / 0.3)) / (1.0 + 0.8**2 + 1.4**2)
     normals = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     assert all_missed(shares, law) == pytest.approx(normals.cdf(ndtri(shares)), rel=1e-6)
+
+
+def test_normal_latents_are_found_by_their_pairs():
+    """20,000 windows of an autoregression: all missed within a twentieth, four standard errors."""
+    random, shares = np.random.default_rng(5), np.array([0.7, 0.4, 0.3, 0.5])
+    latents = random.standard_normal((20_000, 4))
+    for frame in range(1, 4):
+        latents[:, frame] = 0.8 * latents[:, frame - 1] + 0.6 * latents[:, frame]
+    missed = latents < ndtri(shares)
+    lags = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
+    wanted = multivariate_normal(cov=0.8**lags).cdf(ndtri(shares))
+    found = all_missed_if_normal(Window(np.arange(4.0), missed))
+    assert found == pytest.approx(wanted, rel=0.05)
+    none = Window(np.arange(4.0), np.zeros((10, 4), dtype=bool))
+    assert all_missed_if_normal(none) < 0.05
 
 
 def test_a_memory_is_found_again():
