@@ -143,9 +143,10 @@ def why_table(why: Mapping[str, Explained]) -> str:
     """How likely all frames that decide are missed: counted, and by parts of the predictions."""
     lines = [
         "| setting | frames, gaps | all missed in the loop | normal latents of the same "
-        "correlations | memory and frailty of these outcomes themselves, and what they give | with the loop's own shares: independent, memory, "
-        "frailty, both, visibility | with the model's P(missed): the same | P(missed) in the last "
-        "frame: loop, model, model with copied outcomes |",
+        "correlations | memory and frailty of these outcomes themselves, and what they give | with "
+        "the loop's own shares: independent, memory, frailty, both, visibility | with the model's "
+        "P(missed): the same | P(missed) in the last frame: loop, model, model with copied "
+        "outcomes |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name, one in why.items():
