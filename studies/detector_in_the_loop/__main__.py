@@ -12,10 +12,10 @@ from typing import get_args
 import torch
 
 from pemviz.files.atomic import write_json
+from studies.detector_in_the_loop.drives import DriveKind
 from studies.detector_in_the_loop.page import write_page
 from studies.detector_in_the_loop.settings import QUICK, SETTINGS, WHOLE
 from studies.detector_in_the_loop.study import (
-    Labels,
     document_of,
     predictions,
     reasons,
@@ -24,6 +24,7 @@ from studies.detector_in_the_loop.study import (
     truths,
 )
 
+LABELS = (*get_args(DriveKind), "fine")
 PARTS = ("all", "detector", "truth", "predictions", "why")
 
 
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--share", type=float, help="of the rollouts of each setting, 0 to 1")
     parser.add_argument("--frames", type=int, nargs="+", help="labelled frames of predictions")
     parser.add_argument(
-        "--labels", choices=get_args(Labels), default="usual", help="predictions from others, alone"
+        "--labels", choices=LABELS, default="usual", help="predictions from others, alone"
     )
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)

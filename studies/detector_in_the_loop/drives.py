@@ -7,14 +7,15 @@ acceleration normal(0, 1) m/s^2, held above 2 m. The car to the right: log-unifo
 closing speed normal(1, 3) m/s, a lane change of 2.5 to 5 s that begins at -2 to 3 s, where it does
 not come closer than 3 m to the car ahead. The ego's speed is uniform from 5 to 32 m/s.
 
-With ``approaches`` every other sequence's car ahead is come upon fast: 40 to 75 m away at the
-start, closing at 8 to 20 m/s.
+Drives of the kind ``approaches`` come upon every other car ahead fast: 40 to 75 m away at the
+start, closing at 8 to 20 m/s. Those of the kind ``braking`` do so too, and every car ahead brakes.
 
 A car is labelled where it counts as visible by what ``pemviz.simulators.encounters`` says of sight:
 its centre up to 80 m ahead, less than nine tenths of it hidden.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from studies.detector_in_the_loop.camera import CAMERA_HEIGHT_M, HALF_ANGLE_DEG,
 from studies.detector_in_the_loop.frames import Frames, frames_at
 from studies.detector_in_the_loop.scene import TRAFFIC, Domain, Scenes, draw_scenes
 
+DriveKind = Literal["usual", "approaches", "braking"]
 DT_S = 0.1
 FRAMES = 60
 """Of a sequence."""
@@ -119,16 +121,16 @@ def labels_of(scenes: Scenes, poses: FloatArray) -> Labels:
 
 
 def draw_drive(
-    domain: Domain, *, count: int, seeds: np.random.SeedSequence, approaches: bool = False
+    domain: Domain, *, count: int, seeds: np.random.SeedSequence, kind: DriveKind = "usual"
 ) -> Drive:
-    """That many sequences in a domain, with ``approaches`` or without."""
+    """That many sequences of a kind in a domain."""
     scene_seeds, motion_seeds = seeds.spawn(2)
     scenes = draw_scenes(domain, count=count, cars=CARS, seeds=scene_seeds)
     random = np.random.default_rng(motion_seeds)
     time_s = np.arange(FRAMES, dtype=np.float64) * DT_S
     ego_mps = random.uniform(5.0, 32.0, count)[:, None]
     poses = np.zeros((count, FRAMES, CARS + TRAFFIC, 4))
-    poses[:, :, 0] = _ahead(count, time_s, random, approaches=approaches)
+    poses[:, :, 0] = _ahead(count, time_s, random, kind=kind)
     poses[:, :, 1] = _beside(count, time_s, random, ahead_m=poses[:, :, 0, 1])
     traffic_m = scenes.column("traffic_m")[:, None]
     poses[:, :, 2, 0] = -LANE_M
@@ -138,13 +140,13 @@ def draw_drive(
 
 
 def _ahead(
-    count: int, time_s: FloatArray, random: np.random.Generator, *, approaches: bool
+    count: int, time_s: FloatArray, random: np.random.Generator, *, kind: DriveKind
 ) -> FloatArray:
     """Poses of the car in the lane ``[S, T, 4]``."""
     gap_m = np.exp(random.uniform(np.log(3.0), np.log(70.0), count))[:, None]
     closing_mps = random.normal(0.0, 3.0, count)[:, None]
     closing_mps2 = random.normal(0.0, 1.0, count)[:, None]
-    if approaches:
+    if kind != "usual":
         fast = np.arange(count)[:, None] % 2 == 0
         gap_m = np.where(fast, random.uniform(40.0, 75.0, (count, 1)), gap_m)
         closing_mps = np.where(fast, random.uniform(8.0, 20.0, (count, 1)), closing_mps)
@@ -156,7 +158,7 @@ def _ahead(
     there = (random.random(count) < 0.85)[:, None]
     poses[..., 1] = np.where(there, near_m, ABSENT_M)
     brakes = random.random(count) < np.where(closing_mps[:, 0] > 1.0, 0.7, 0.15)
-    poses[..., 3] = brakes[:, None]
+    poses[..., 3] = kind == "braking" or brakes[:, None]
     return poses
 
 

@@ -14,7 +14,7 @@ from pemviz.arrays import FloatArray
 from pemviz.files.atomic import write_text
 from studies.detector_in_the_loop.camera import CAMERA_HEIGHT_M
 from studies.detector_in_the_loop.detector import Detections, Detector
-from studies.detector_in_the_loop.drives import DT_S, FRAMES, Labels, draw_drive
+from studies.detector_in_the_loop.drives import DT_S, FRAMES, DriveKind, Labels, draw_drive
 from studies.detector_in_the_loop.render import render
 from studies.detector_in_the_loop.scene import LIGHTS, WEATHERS, Domain
 
@@ -33,12 +33,12 @@ def write_sequences(
     count: int,
     seeds: np.random.SeedSequence,
     offset: int = 0,
-    approaches: bool = False,
+    kind: DriveKind = "usual",
 ) -> None:
     """Render, detect and write sequences ``offset`` to ``offset + count``.
 
     They go into ``folder/label_02`` and ``folder/boxes``, their hidden light and weather into
-    ``folder/hidden``; ``approaches`` as of :func:`.drives.draw_drive`. A sequence depends on the
+    ``folder/hidden``; ``kind`` as of :func:`.drives.draw_drive`. A sequence depends on the
     seeds and on its own block alone.
 
     Raises:
@@ -48,7 +48,7 @@ def write_sequences(
         (folder / name).mkdir(parents=True, exist_ok=True)
     for start in range(offset, offset + count, AT_A_TIME):
         block = np.random.SeedSequence(seeds.entropy, spawn_key=(*seeds.spawn_key, start))
-        drive = draw_drive(domain, count=AT_A_TIME, seeds=block, approaches=approaches)
+        drive = draw_drive(domain, count=AT_A_TIME, seeds=block, kind=kind)
         written = min(AT_A_TIME, offset + count - start)
         sequence = np.repeat(np.arange(written), FRAMES)
         step = np.tile(np.arange(FRAMES), written)

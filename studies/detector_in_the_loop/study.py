@@ -17,6 +17,7 @@ from pemviz.files.atomic import write_text
 from pemviz.pem import load_pem
 from pemviz.processes import map_in_processes, usable_cpus
 from studies.detector_in_the_loop.detector import Detector, load_detector, save_network
+from studies.detector_in_the_loop.drives import DriveKind
 from studies.detector_in_the_loop.labelled import AT_A_TIME, write_sequences
 from studies.detector_in_the_loop.loop import Loop
 from studies.detector_in_the_loop.predictions import (
@@ -51,9 +52,8 @@ from studies.detector_in_the_loop.worlds import BrakingWorld
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Tell = Callable[[str], None]
-Labels = Literal["usual", "fine", "approaches"]
-"""Of predictions: as :mod:`.predictions` has them; with sizes and exact places of cars as features;
-from drives of which half come upon the car ahead fast."""
+Labels = DriveKind | Literal["fine"]
+"""Of predictions: from drives of a kind; ``fine``: with sizes and exact places as features."""
 HIDDEN = "hidden"
 """The variant that knows light and weather: a model for each, with both memory and frailty."""
 FEWEST_OF_A_KIND = 5
@@ -152,7 +152,7 @@ def labelled(
     frames: int,
     purpose: int,
     tell: Tell,
-    approaches: bool = False,
+    kind: DriveKind = "usual",
 ) -> list[str]:
     """Names of a domain's sequences with that many frames; those that are missing are rendered."""
     wanted, place = sequences_for(frames), tuple(domain.name.encode())
@@ -169,7 +169,7 @@ def labelled(
             count=count,
             seeds=own,
             offset=start,
-            approaches=approaches,
+            kind=kind,
         )
         tell(f"{domain.name}: {start + count} of {wanted} sequences labelled")
     return [f"{number:06d}" for number in range(wanted)]
@@ -185,9 +185,9 @@ def fitted_to(
     labels: Labels = "usual",
 ) -> tuple[Fitted, Path, Sequence[str], Path, Sequence[str]]:
     """The error model of a setting's detector from so many frames, checked on a fifth as many."""
-    fast = labels == "approaches"
-    kept = partial(labelled, domain=setting.domain, detector=detector, tell=tell, approaches=fast)
-    data = folder / ("labelled-approaches" if fast else "labelled") / setting.domain_name
+    kind: DriveKind = "usual" if labels == "fine" else labels
+    kept = partial(labelled, domain=setting.domain, detector=detector, tell=tell, kind=kind)
+    data = folder / _named("labelled", kind) / setting.domain_name
     names = kept(data / "train", frames=frames, purpose=LABELLED)
     others = kept(data / "other", frames=max(frames // 5, 1_000), purpose=HELD_OUT)
     own = folder / _named("models", labels) / f"{setting.domain_name}_{setting.strict:g}_{frames}"
