@@ -123,7 +123,7 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
     Raises:
         OSError: It cannot be written.
     """
-    names = list(found)
+    names = [name for name in found if any(row.setting == name for row in rows)]
     frames = sorted({row.frames for row in rows})
     figure = Figure(figsize=(8.0, 0.9 + 0.62 * len(names)), layout="constrained")
     axes = figure.subplots()
@@ -132,7 +132,7 @@ def write_ratios(path: Path, rows: "Sequence[Row]", found: "Mapping[str, Truth]"
     colours = dict(zip(VARIANT_TITLES, COLOURS, strict=True))
     marks = dict(zip(VARIANT_TITLES, MARKS, strict=True))
     for row in rows:
-        if row.setting not in found:
+        if row.setting not in names:
             continue
         ratio = ratio_of(row.answer, found[row.setting])
         if not ratio.value:
