@@ -43,7 +43,7 @@ SCALE = 2
 COLOURS = (
     *(colors.GREY, colors.BLUE, colors.ORANGE, colors.GREEN, colors.VERMILLION, colors.BLACK),
 )
-MARKS = ("s", "v", "o", "^", "D", "P")
+MARKS = ("s", "v", "o", "^", "D", "<")
 """Of the variants, in order."""
 FOUND = (60, 230, 90)
 
