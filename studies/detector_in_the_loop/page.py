@@ -143,17 +143,15 @@ def why_table(why: Mapping[str, Explained]) -> str:
     """How likely all frames that decide are missed: counted, and by parts of the predictions."""
     lines = [
         "| setting | frames, gaps | all missed in the loop | normal latents of the same "
-        "correlations | memory and frailty of these outcomes themselves, and what they give | with "
-        "the loop's own shares: independent, memory, frailty, both, visibility | with the model's "
-        "P(missed): the same | P(missed) in the last frame: loop, model, model with copied "
-        "outcomes |",
-        "|---|---|---|---|---|---|---|---|",
+        "correlations | with the loop's own shares: independent, memory, frailty, both, visibility "
+        "| with the model's P(missed): the same | P(missed) in the last frame: loop, model, model "
+        "with copied outcomes |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, one in why.items():
-        own = f"{one.own.tau_s:.2f} s, {one.own.frailty:.2g}: {short(one.own.all_missed)}"
         parts = [", ".join(short(pair[k]) for pair in one.by_variant.values()) for k in (0, 1)]
         gaps = f"{len(one.gap_m)}, {one.gap_m[0]:.0f} to {one.gap_m[-1]:.0f} m"
         last = ", ".join(short(each[-1]) for each in (one.loop, one.model, one.lagged))
         counted = f"{short(one.all_missed)} of {one.scenes:,} | {short(one.normal)}"
-        lines.append(f"| {name} | {gaps} | {counted} | {own} | {parts[0]} | {parts[1]} | {last} |")
+        lines.append(f"| {name} | {gaps} | {counted} | {parts[0]} | {parts[1]} | {last} |")
     return "\n".join(lines) + "\n"

@@ -46,7 +46,7 @@ from studies.detector_in_the_loop.settings import (
 from studies.detector_in_the_loop.splitting import of_runs, split_run
 from studies.detector_in_the_loop.training import draw_pictures, quality_of, train
 from studies.detector_in_the_loop.truth import Count, count_block, counted
-from studies.detector_in_the_loop.why import Explained, OwnMemory, explained
+from studies.detector_in_the_loop.why import Explained, explained
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
 Item = TypeVar("Item")
@@ -423,9 +423,7 @@ def _reason_of(folder: Path, effort: Effort, tell: Tell, setting: Setting) -> Ex
         made = explained(loop, scenes, load_pem(str(model.path)), laws)
         write_text(path, json.dumps(asdict(made)))
         tell(f"{setting.name}: all frames missed {made.all_missed:.2e}; {made.by_variant}")
-    document = json.loads(path.read_text(encoding="utf-8"))
-    own = OwnMemory(**document.pop("own"))
-    return Explained(own=own, **document)
+    return Explained(**json.loads(path.read_text(encoding="utf-8")))
 
 
 def by_domain(settings: Iterable[Setting]) -> list[list[Setting]]:

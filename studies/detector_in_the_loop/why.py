@@ -4,9 +4,8 @@ A setting of the braking scenario is lost when the car is missed in every frame 
 the course that the ego takes while it misses, the same in every rollout, all frames of the window
 are looked at: N scenes give outcomes ``[N, W]``. From these come, frame by frame, how often it is
 missed, and how likely all are missed; beside that stands what the error model says of both, and
-which memory time and frailty these outcomes themselves would have, were P(missed) known; and what
-normal latents give that have the outcomes' own P(missed) and pairwise correlations: the best that
-any law of a normal visibility could.
+what normal latents give that have the outcomes' own P(missed) and pairwise correlations: the best
+that any law of a normal visibility could.
 """
 
 from collections.abc import Mapping
@@ -27,10 +26,8 @@ from studies.detector_in_the_loop.loop import Loop, with_traffic
 from studies.detector_in_the_loop.scene import Scenes
 from studies.detector_in_the_loop.worlds import BrakingWorld
 
-TAUS_S = np.concatenate([[0.0], np.geomspace(0.02, 2.0, 15)])
 LOOSEST, TIGHTEST = -0.99, 0.999
 """Correlations of normal latents."""
-FRAILTIES = np.linspace(0.0, 4.0, 17)
 
 
 @dataclass(frozen=True)
@@ -132,35 +129,6 @@ def lagged(shares: FloatArray, *, tau_s: float) -> FloatArray:
     return found
 
 
-@dataclass(frozen=True)
-class OwnMemory:
-    """What the window's outcomes say themselves, P(missed) being their own shares.
-
-    Attributes:
-        tau_s: Memory time of the greatest likelihood on the grid [s].
-        frailty: Frailty likewise.
-        all_missed: How likely all frames are missed with both.
-    """
-
-    tau_s: float
-    frailty: float
-    all_missed: float
-
-
-def own_memory(window: Window) -> OwnMemory:
-    """The memory that fits the window's own outcomes best."""
-    count = len(window.missed)
-    shares = window.shares.clip(0.5 / count, 1.0 - 0.5 / count)
-    patterns, numbers = np.unique(window.missed, axis=0, return_counts=True)
-    best, chosen = -np.inf, (0.0, 0.0)
-    for tau_s in TAUS_S:
-        for frailty in FRAILTIES:
-            told = log_likelihood(patterns, shares, tau_s=tau_s, frailty=frailty) @ numbers
-            if told > best:
-                best, chosen = told, (float(tau_s), float(frailty))
-    return OwnMemory(*chosen, all_missed(shares, chosen))
-
-
 def all_missed_if_normal(window: Window) -> float:
     """How likely all frames are missed if a normal latent of each falls below a quantile.
 
@@ -210,7 +178,6 @@ class Explained:
         lagged: What becomes of that with the memory time of both: P(missed) is late ``[W]``.
         all_missed: How often all are, in the loop.
         scenes: That were looked at.
-        own: What the loop's outcomes would have as their memory.
         normal: How likely all are missed with normal latents of the outcomes' own correlations.
         by_variant: How likely all are missed with the variant's law of misses: with the loop's
             shares, and with the model's.
@@ -222,7 +189,6 @@ class Explained:
     lagged: tuple[float, ...]
     all_missed: float
     scenes: int
-    own: OwnMemory
     normal: float
     by_variant: dict[str, tuple[float, float]]
 
@@ -250,7 +216,6 @@ def explained(
         lagged=tuple(lagged(model, tau_s=both[0]).tolist()),
         all_missed=window.all_missed,
         scenes=count,
-        own=own_memory(window),
         normal=all_missed_if_normal(window),
         by_variant={
             name: (all_missed(own_shares, law), all_missed(model, law))

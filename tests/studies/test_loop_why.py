@@ -25,7 +25,6 @@ from studies.detector_in_the_loop.why import (
     all_missed_if_normal,
     lagged,
     log_likelihood,
-    own_memory,
 )
 
 SHARES = np.array([0.9, 0.5, 0.05, 0.3])
@@ -83,18 +82,6 @@ def test_normal_latents_are_found_by_their_pairs():
     assert found == pytest.approx(wanted, rel=0.05)
     none = Window(np.arange(4.0), np.zeros((10, 4), dtype=bool))
     assert all_missed_if_normal(none) < 0.05
-
-
-def test_a_memory_is_found_again():
-    """Outcomes drawn with frailty 1: the grid's spacing is 0.25, its error here about 0.1."""
-    random = np.random.default_rng(3)
-    u = random.standard_normal(6000)
-    moved = ndtri(SHARES) * np.sqrt(2.0) + u[:, None]
-    missed = random.random((6000, 4)) < ndtr(moved)
-    found = own_memory(Window(np.arange(4.0), missed))
-    assert found.frailty == pytest.approx(1.0, abs=0.3)
-    assert found.tau_s < 0.05
-    assert found.all_missed == pytest.approx(missed.all(axis=1).mean(), rel=0.4)
 
 
 def truth(failed, rollouts):
