@@ -41,7 +41,7 @@ SUMMARY_OF: Mapping[type, type] = {StageSummary: StageResult}
 """Types whose fields are those of another, which tells of them."""
 WHERE_THERE_IS_SOME = (
     "simulator", "rules", "per_hour", "per_km", "driven", "latents", "position_errors", "starts",
-    "lost", "robustness_tail", "least_robust_by_rule",
+    "lost", "surrogate", "robustness_tail", "least_robust_by_rule",
 )  # fmt: skip
 """Likewise of the document itself."""
 
@@ -102,7 +102,7 @@ def _document(found: dict[str, Schema]) -> Schema:
 
 ORDER = (
     "schema", "run_id", "status", "message", "seed", "versions", "simulator", "config", "pem",
-    "estimate", "rules", "per_hour", "per_km", "driven", "lost", "memory", "latents",
+    "estimate", "rules", "per_hour", "per_km", "driven", "lost", "surrogate", "memory", "latents",
     "position_errors", "starts", "reference", "pem_interval", "model_classes", "uncertainty",
     "data_bound", "plan", "sensitivity", "causes", "robustness_tail", "repetitions", "stages",
     "least_robust", "least_robust_by_rule", "assumptions", "warnings", "timings_s", *_DIGESTS,

@@ -206,6 +206,10 @@ class ExperimentConfig:
     """Back end that steps the scenario: vectorized, highway-env, sumo (needs pemviz[sumo]), carla
     (needs pemviz[carla] and a server), or a name that an installed package registers as an entry
     point of the group pemviz.simulators."""
+    surrogate: str | None = None
+    """A fast simulator of about the same scenario, named as simulator is, that methods auto and
+    mixture learn proposals on before they run the simulator itself, with the same settings. It may
+    be wrong: the answer rests on rollouts of the simulator alone. Left out, none."""
     carla: str | None = None
     """With simulator carla: HOST:PORT of the server; left out, 127.0.0.1:2000."""
     alpha: Annotated[float, Range(low=0.0, high=1.0)] | None = None

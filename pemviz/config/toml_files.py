@@ -151,14 +151,14 @@ def _named_texts(given: object, key: str, name: str) -> Mapping[str, str]:
 def config_table(config: ExperimentConfig) -> dict[str, Any]:
     """Every field as plain values, for TOML and JSON.
 
-    Without rules, position errors, server, tracker, logical scenario, SUMO's model and encounters
-    an hour where there are none, without the braking scenario where it is another that is run and
-    nothing of it was changed, without a memory that is left out or not assumed, its law where that
-    is of outcomes, without ``measured_memory`` where it is looked at, and without ``keep`` where
-    all is kept.
+    Without rules, position errors, surrogate, server, tracker, logical scenario, SUMO's model and
+    encounters an hour where there are none, without the braking scenario where it is another that
+    is run and nothing of it was changed, without a memory that is left out or not assumed, its law
+    where that is of outcomes, without ``measured_memory`` where it is looked at, and without
+    ``keep`` where all is kept.
     """
     table = every_setting(config)
-    for name in ("position_errors", "carla", "encounters_per_hour", *OWN_MEMORY):
+    for name in ("position_errors", "surrogate", "carla", "encounters_per_hour", *OWN_MEMORY):
         if table[name] is None:
             del table[name]
     usual = {"assumed_memory_s": 0.0, "memory_law": "outcomes", "measured_memory": True}

@@ -6,7 +6,8 @@ REST = "*"
 """Among a topic's settings: it has those that no topic names."""
 
 TOPICS: Mapping[str, tuple[str, ...]] = {
-    "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator", "carla",
+    "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator",
+                 "surrogate", "carla",
                  "sumo_config", "encounters_per_hour"),
     "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "memory_law",
                  "varying_frailty", "varying_frailty_s", "measured_memory",

@@ -167,12 +167,32 @@ def chosen_text(result: RunResult) -> str | None:
     spent = max(_from_proposals(result).values(), default=0)
     if spent >= most(config):
         return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals"
+    counts = by_name(estimate.method).interval_basis == "counts"
     if config.max_minutes is not None:
-        return f"{words}, and stopped by max_minutes {config.max_minutes:g}"
-    if by_name(estimate.method).interval_basis == "counts":
+        # a count that came to an end met violations by which its number was chosen
+        took_s = result.timings_s.get("total", math.inf) if estimate.failures else math.inf
+        if not counts or took_s >= 60.0 * config.max_minutes:
+            return f"{words}, and stopped by max_minutes {config.max_minutes:g}"
+    if counts:
         words += f"; {estimate.rollouts_in_estimate} plain rollouts were counted, as many as the "
         words += "first ones asked for"
     return words
+
+
+def surrogate_text(result: RunResult) -> str | None:
+    """What was learned on a surrogate first; ``None`` if nothing was.
+
+    For instance 'proposals were learned first on 4400 rollouts of surrogate vectorized, of which
+    the probability is 8.8e-15'.
+    """
+    found = result.surrogate
+    if found is None:
+        return None
+    where = f"{found.rollouts} rollouts of surrogate {found.name}"
+    if found.probability == 0.0:
+        return f"{where} taught nothing: none of them violates"
+    its_own = f"whose own failure probability is {number_text(found.probability)}"
+    return f"proposals were learned first on {where}, {its_own}"
 
 
 def _from_proposals(result: RunResult) -> Mapping[int, int]:

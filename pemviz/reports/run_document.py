@@ -133,6 +133,8 @@ def _lines(result: RunResult, estimate: Estimate) -> Iterator[str]:
     )
     if chosen := estimates.chosen_text(result):
         yield chosen
+    if learned := estimates.surrogate_text(result):
+        yield learned
     yield from estimates.next_text(run_remedy(result))
     if rate := answer_words.rate_line(result):
         yield rate
@@ -428,6 +430,8 @@ def _question(result: RunResult) -> Section:
     ]
     if chosen := estimates.chosen_text(result):
         rows.insert(4, ("chosen, as", chosen))
+    if learned := estimates.surrogate_text(result):
+        rows.insert(4, ("before", learned))
     return Section("question", "What was requested", (), (doc.facts(rows),))
 
 

@@ -1,6 +1,6 @@
 """The simulator of an experiment with what is known about it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -41,12 +41,58 @@ FIT_ANYWHERE = "use mixture, with {check} as an independent check"
 
 
 def build_back_end(config: ExperimentConfig) -> BackEnd:
-    """The back end that ``config`` names, shipped or registered.
+    """The back end that ``config`` names, shipped or registered, with its surrogate.
 
     Raises:
         ConfigError: There is none of that name, or it does not keep to the protocol.
         PemError: The model of position errors cannot be used.
     """
+    return with_surrogate(_named_back_end(config), config)
+
+
+def with_surrogate(
+    back_end: BackEnd,
+    config: ExperimentConfig,
+    *,
+    given: Simulator | SlotSimulator | EpisodicSimulator | None = None,
+) -> BackEnd:
+    """The back end with the surrogate that is ``given``, or else that ``config`` names, if any.
+
+    Raises:
+        ConfigError: There is none of that name, or it is no simulator of the same signals.
+    """
+    if config.surrogate is None:
+        return back_end
+    where = f"surrogate = {config.surrogate!r}"
+    if given is None and config.surrogate == config.simulator:
+        raise ConfigError(f"{where}: is the simulator itself; name a faster one, or leave it out")
+    if detecting(back_end.simulator) is not None:
+        raise ConfigError(f"{where}: {DETECTOR_KNOWS.format(back_end.simulator.name)}")
+    named = replace(config, simulator=config.surrogate, surrogate=None)
+    other = _named_back_end(named) if given is None else own_back_end(given)
+    theirs = _parts_of(back_end.simulator)
+    for what, own in _parts_of(other.simulator).items():
+        if own != theirs[what]:
+            raise ConfigError(
+                f"{where}: {what} {own}: must be those of simulator {back_end.simulator.name!r}, "
+                f"{theirs[what]}"
+            )
+    return replace(back_end, surrogate=other.simulator)
+
+
+def _parts_of(simulator: Simulator) -> Mapping[str, str]:
+    """What a surrogate must share with the simulator, in words."""
+    turns, tracker = turns_of(simulator), tracker_of(simulator)
+    return {
+        "slots": str(turns),
+        "states": f"{(simulator.states - 1) // turns + 1} of {simulator.dt_s:g} s",
+        "signals": ", ".join(signal.name for signal in simulator.signals),
+        "latents": str(latent_counts(simulator)),
+        "tracker": "none" if tracker is None else str(tracker),
+    }
+
+
+def _named_back_end(config: ExperimentConfig) -> BackEnd:
     errors = None
     if config.position_errors is not None:
         check_measures(config)

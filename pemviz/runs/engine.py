@@ -33,7 +33,13 @@ from pemviz.runs.workers import with_workers
 from pemviz.sampling.estimates.diagnostics import not_repeatable
 from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
-from pemviz.sampling.method import AnswersRules, Method, PoolsStages
+from pemviz.sampling.method import (
+    AnswersRules,
+    LearnsOnSurrogate,
+    Method,
+    PoolsStages,
+    SurrogateLearning,
+)
 from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
 from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.simulators.latents import latent_counts
@@ -306,6 +312,7 @@ class _Runner:
             repetitions=estimates,
             estimate=summarise_repetitions(estimates),
             rules=tuple(answers),
+            surrogate=self._with_surrogate(state),
             lost=self._lost.told(problem),
         )
         self._notify(
@@ -316,6 +323,16 @@ class _Runner:
                 columns=method.kept_columns(state) if isinstance(method, KeepsColumns) else {},
             )
         )
+
+    def _with_surrogate(self, state: object) -> SurrogateLearning | None:
+        """What repetitions so far have learned on a surrogate, this one's among them."""
+        method, result = self._experiment.method, self._interpreted.result
+        here = method.surrogate_learning(state) if isinstance(method, LearnsOnSurrogate) else None
+        before, done = result.surrogate, len(result.repetitions)
+        if here is None or before is None:
+            return here or before
+        probability = (done * before.probability + here.probability) / (done + 1)
+        return replace(here, rollouts=before.rollouts + here.rollouts, probability=probability)
 
     def _pause(self, *_: int) -> None:
         if self._should_stop():

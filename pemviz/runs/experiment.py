@@ -121,6 +121,7 @@ def build_experiment(
     simulator: Simulator | SlotSimulator | LatentSimulator | EpisodicSimulator | None = None,
     pem: DetectorModel | Mapping[str, DetectorModel] | None = None,
     twin: Simulator | SlotSimulator | None = None,
+    surrogate: Simulator | SlotSimulator | EpisodicSimulator | None = None,
     features: StateFeatures | None = None,
     hidden: Sequence[HiddenProperty] = (),
     batch_rollouts: int | None = None,
@@ -137,6 +138,9 @@ def build_experiment(
             where the detector itself is in the loop (:class:`pemviz.DetectorInTheLoop`).
         twin: With ``simulator``: a fast simulator of the same scenario (itself, if a step of
             thousands of states costs it little) for method zero-variance and the reference.
+        surrogate: A fast simulator of about the same scenario, with the same states and signals,
+            instead of the one that ``config`` names: methods auto and mixture learn proposals on it
+            first. It may be wrong, as the answer rests on rollouts of the simulator alone.
         features: What proposals look at instead of what the simulator offers: for one of your own
             that is all signals and the step, in a slot's turn what is about that slot.
         hidden: Properties of perception of your own that outcomes reveal, each with a label; one
@@ -152,9 +156,13 @@ def build_experiment(
             its protocol.
     """
     own = None if simulator is None else back_ends.own_back_end(simulator, twin=twin)
+    if surrogate is not None:
+        config = replace(config, surrogate=surrogate.name)
     config, named, back_end = _named_parts(
         config, own, pem, allow_python=allow_python, hidden=hidden
     )
+    if own is not None or surrogate is not None:
+        back_end = back_ends.with_surrogate(back_end, config, given=surrogate)
     back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     _check_hidden(config, back_end, hidden)
     check_salient_names(named, back_end.simulator)

@@ -20,6 +20,7 @@ from pemviz.pem import Pem
 from pemviz.pem.models.cards import FittedMemory, PemCard, fitted_memory, varying_frailty_of
 from pemviz.pem.models.predictive_check import ModelCheck, Variant, check_from_mapping
 from pemviz.sampling.bursts.curve import CurvePoint
+from pemviz.sampling.method import SurrogateLearning
 from pemviz.sampling.slots import single_model
 from pemviz.sampling.state.composed import hidden_in, memory_of_pem, own_pem, property_in
 from pemviz.sampling.state.varying_visibility import VaryingVisibility
@@ -371,6 +372,7 @@ class RunResult(ShownInNotebooks):
         position_errors: By which the scenario measured; ``None``: it measured exactly.
         driven: How far a rollout is, where it is a stretch of driving in free traffic.
         lost: Rollouts that could not be simulated to their end; ``None`` if there are none.
+        surrogate: What proposals were learned on first; ``None`` if nothing was.
         reference: The answer by the zero-variance reference, or over all states where they are few.
         pem_interval: The answer's range over other models that fit the same data.
         starts: Which starts are dangerous, where the simulator names random ones: of violations
@@ -406,6 +408,7 @@ class RunResult(ShownInNotebooks):
     simulator: OwnSystem | None = None
     driven: DrivenDistance | None = None
     lost: LostRollouts | None = None
+    surrogate: SurrogateLearning | None = None
     reference: Reference | None = None
     pem_interval: ModelInterval | None = None
     starts: tuple[DangerousStarts, ...] = ()

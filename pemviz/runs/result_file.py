@@ -21,6 +21,7 @@ What a result.json may hold (schema 2):
   rules.
 - ``starts`` (:mod:`pemviz.analysis.starts`), only where the simulator names random ones.
 - ``lost``, only where rollouts could not be simulated to their end.
+- ``surrogate``, only where proposals were learned on one.
 - ``per_hour``, only where encounters an hour are given, or ``per_km``, only where ``driven`` is
   (:mod:`pemviz.runs.rates`), follows from the estimates too.
 - ``uncertainty``, what leaves the answer open
@@ -177,6 +178,7 @@ def result_document(result: RunResult) -> Table:
             per_km=distance_rates(result),
             driven=result.driven,
             lost=result.lost,
+            surrogate=result.surrogate,
         ),
         "memory": (
             None

@@ -27,6 +27,7 @@ class BackEnd:
         is_own: Whether it is the user's own or another package's.
         position_errors: Of what the shipped scenario measures; ``None``: it measures exactly.
         single_outcomes: The scenario without hidden properties; ``None``: it has none.
+        surrogate: A fast simulator of about the same scenario, for methods that learn on it first.
     """
 
     simulator: Simulator
@@ -36,6 +37,7 @@ class BackEnd:
     is_own: bool = False
     position_errors: PositionErrorModel | None = None
     single_outcomes: "BackEnd | None" = None
+    surrogate: Simulator | None = None
 
     @property
     def scenario_alone(self) -> "BackEnd":

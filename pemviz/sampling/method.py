@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
+from pemviz.config.ranges import AtLeastZero, Count
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.problem import Problem, sample
@@ -15,6 +17,18 @@ from pemviz.types import Estimate, Proposal, SampledRollouts, ScoredRollouts, St
 
 State = TypeVar("State")
 State_contra = TypeVar("State_contra", contravariant=True)
+
+
+@dataclass(frozen=True)
+class SurrogateLearning:
+    """What a surrogate was simulated for, before the simulator itself was."""
+
+    name: str
+    """The surrogate's."""
+    rollouts: Count
+    """Of the surrogate, in all repetitions."""
+    probability: AtLeastZero
+    """That it violates, by these; 0: nothing did, and it taught nothing."""
 
 
 class Method(Protocol[State]):
@@ -60,6 +74,15 @@ class PoolsStages(Protocol[State_contra]):
 
         NaN where a rollout does not violate and its weight is not known.
         """
+        ...
+
+
+@runtime_checkable
+class LearnsOnSurrogate(Protocol[State_contra]):
+    """A method that may learn on a surrogate before it simulates."""
+
+    def surrogate_learning(self, state: State_contra) -> SurrogateLearning | None:
+        """What a repetition has; ``None`` if nothing."""
         ...
 
 

@@ -152,7 +152,7 @@ OTHER = {
     str: "x", float: 0.625, int: 77, bool: True, "method": "naive", "metric": "agm", "target": 1e-9,
     "alpha": 0.5, "position_errors": "x", "encounters_per_hour": 2.5,
     "keep": "violations", "carla": "x", "chains": 77, "max_rollouts": 777, "max_minutes": 7.5,
-    "memory_s": 0.5, "frailty": 0.5, "measured_memory": False,
+    "surrogate": "x", "memory_s": 0.5, "frailty": 0.5, "measured_memory": False,
     "varying_frailty": 1.5, "varying_frailty_s": 0.25,
 }  # fmt: skip
 

@@ -248,6 +248,13 @@ def test_a_count_that_falls_short_is_not_said_to_be_stopped_by_what_limits_propo
     assert f"3 % were requested; {counted}, as many as the first ones" in summary_text(result)
 
 
+def test_a_completed_count_is_not_said_to_be_stopped_by_the_clock():
+    result = run(experiment(*OFTEN, seed=1, precision=0.03, max_minutes=60.0))
+    assert result.estimate.relative_half_width > 0.03
+    assert "stopped by max_minutes" not in summary_text(result)
+    assert "plain rollouts were counted, as many as the first ones" in summary_text(result)
+
+
 def test_fewer_at_most_than_it_begins_with_are_refused():
     with pytest.raises(ConfigError, match=r"^max_rollouts = 100: must be at least the 1200 that"):
         experiment(*RARE, max_rollouts=100)

@@ -34,6 +34,7 @@ CHANGES = {
     "precision": 0.07,
     "max_rollouts": 7_777,
     "max_minutes": 7.0,
+    "surrogate": "highway-env",
 }
 COMMON = {"seed"}
 """What every method looks at."""

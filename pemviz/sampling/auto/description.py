@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
 from pemviz.sampling.description import (
+    Budget,
     MethodDescription,
     counted,
     learning_budget,
@@ -30,6 +31,20 @@ so many, but where rollouts are slow."""
 FAST_BATCH = 100
 MOST_TIMES = 10
 """Times likewise, up to which proposals go on."""
+OWN_STAGES = 5
+"""One in so many of the stages that learn, two at least, is what proposals begin with on the
+simulator itself, where they have been learned on a surrogate."""
+
+
+def _begins_with(config: ExperimentConfig) -> ExperimentConfig:
+    """With the stages that proposals begin with."""
+    if config.surrogate is None:
+        return config
+    return replace(config, stages=min(max(config.stages // OWN_STAGES, 2), config.stages))
+
+
+def _budget(config: ExperimentConfig) -> Budget:
+    return learning_budget(_begins_with(config))
 
 
 def most_rollouts(config: ExperimentConfig) -> int:
@@ -49,6 +64,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
 
     budget, most = learning_budget(config).rollouts, most_rollouts(config)
+    mixture, begins_with = mixture_of(config, back_end), _budget(config).rollouts
     if most < budget:
         message = (
             f"max_rollouts = {most}: must be at least the {budget} that stages, rollouts and "
@@ -57,8 +73,8 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
         raise ConfigError(message)
     is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH
     return AutoSampling(
-        mixture=mixture_of(config, back_end),
-        first=max(int(PLAIN_SHARE * budget), 2),
+        mixture=replace(mixture, learning_stages=_begins_with(config).stages),
+        first=max(int(PLAIN_SHARE * begins_with), 2),
         most_looked_at=LOOKED_AT * budget,
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
         most=most,
@@ -95,9 +111,10 @@ AUTO = MethodDescription(
             "rollouts",
             "sigma",
             "stages",
+            "surrogate",
         }
     ),
-    budget=learning_budget,
+    budget=_budget,
     with_budget=_with_budget,
     most=most_rollouts,
 )

@@ -35,7 +35,7 @@ from pemviz.binomial import exact_interval
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.estimates.diagnostics import plain_disagreement, undermining
 from pemviz.sampling.estimates.estimators import CONFIDENCE, monte_carlo_estimate
-from pemviz.sampling.method import final_stage, finished_or
+from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
@@ -311,8 +311,14 @@ class AutoSampling:
         )
 
     def _longer(self, method: MixtureSampling, *, left: int, least: int) -> MixtureSampling | None:
-        """The method with more stages of twice the rollouts, if so many are left."""
+        """The method with more stages of twice the rollouts, if so many are left.
+
+        As long as more was learned on a surrogate, of as many rollouts: it has misled.
+        """
         more, rollouts = max(self.mixture.learning_stages // 3, 1), 2 * method.rollouts
+        surrogate = self.mixture.surrogate
+        if surrogate is not None and method.learning_stages < surrogate.learning_stages:
+            more, rollouts = self.mixture.learning_stages, method.rollouts
         if more * rollouts + least > left:
             return None
         return method.extended(stages=more, rollouts=rollouts)
@@ -354,6 +360,12 @@ class AutoSampling:
         if state.proposing is None:
             return np.zeros(sum(part.weighed.count for part in state.plain))
         return state.proposing.method.pooled_log_weight(state.proposing.state)
+
+    def surrogate_learning(self, state: AutoState) -> SurrogateLearning | None:
+        """What proposals were learned on first, where there are any."""
+        if state.proposing is None:
+            return None
+        return state.proposing.method.surrogate_learning(state.proposing.state)
 
     def kept_columns(self, state: AutoState) -> Mapping[str, AnyArray]:
         """What the method of proposals keeps of each rollout."""

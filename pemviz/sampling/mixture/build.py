@@ -4,6 +4,7 @@ from pemviz.config import ExperimentConfig
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.mixture.fit import FitSettings
 from pemviz.sampling.mixture.method import MixtureSampling
+from pemviz.sampling.mixture.surrogate import Surrogate
 from pemviz.sampling.rollouts.large_stages import largest_part
 from pemviz.sampling.slots import unrolled
 from pemviz.sampling.state.composed import proposal_features
@@ -14,6 +15,10 @@ CHAINS = 200
 """Rollouts a level of chains, where they search."""
 
 
+SURROGATE_TIMES = 4
+"""Rollouts of a stage on a surrogate, for each of a stage on the simulator."""
+
+
 def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     """The method on a back end."""
     simulator = back_end.simulator
@@ -22,6 +27,10 @@ def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     searches = bool(latent_counts(simulator)) and not one_by_one
     chains = CHAINS if searches else 0
     largest = largest_part(states=simulator.states)
+    surrogate = None
+    if back_end.surrogate is not None:
+        rollouts = SURROGATE_TIMES * config.rollouts
+        surrogate = Surrogate(back_end.surrogate, config.stages, rollouts)
     return MixtureSampling(
         learning_stages=config.stages,
         rollouts=config.rollouts,
@@ -32,4 +41,5 @@ def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
         largest_part=largest,
         enough=max(1, largest // 2),
         chains=chains if config.chains is None else config.chains,
+        surrogate=surrogate,
     )

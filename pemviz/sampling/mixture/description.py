@@ -31,7 +31,9 @@ MIXTURE = MethodDescription(
     build=_build,
     recount=_recounted,
     is_checked=True,
-    settings=frozenset({"alpha", "sigma", "stages", "rollouts", "final_rollouts", "chains"}),
+    settings=frozenset(
+        {"alpha", "sigma", "stages", "rollouts", "final_rollouts", "chains", "surrogate"}
+    ),
     budget=learning_budget,
     with_budget=with_learning_budget,
 )

@@ -67,17 +67,17 @@ def explored_fits(
 
 
 def with_explored(
-    fits: Sequence[Fit], explored: Sequence[Fit], *, rollouts: int
+    fits: Sequence[Fit], explored: Sequence[Fit], *, rollouts: int, share: float = SHARE
 ) -> tuple[Fit, ...]:
-    """What a stage samples from, the main proposal first, those of chains last.
+    """What a stage samples from, the main proposal first, those of chains or a surrogate last.
 
-    ``rollouts`` are the pool's, to which those of chains were not fitted.
+    ``rollouts`` are the pool's, to which the last were not fitted; ``share`` is theirs.
     """
     if not explored:
         return tuple(fits)
     return (
-        *(replace(fit, share=(1.0 - SHARE) * fit.share) for fit in fits),
-        *(replace(fit, share=SHARE * fit.share, optimism=np.zeros(rollouts)) for fit in explored),
+        *(replace(fit, share=(1.0 - share) * fit.share) for fit in fits),
+        *(replace(fit, share=share * fit.share, optimism=np.zeros(rollouts)) for fit in explored),
     )
 
 

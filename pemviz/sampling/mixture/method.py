@@ -54,7 +54,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimators import mixture_estimate
-from pemviz.sampling.method import final_stage, finished_or
+from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
@@ -63,6 +63,8 @@ from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
+from pemviz.sampling.mixture.surrogate import SHARE as SURROGATE_SHARE
+from pemviz.sampling.mixture.surrogate import Surrogate, learn_on
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
 from pemviz.sampling.seeds import stage_seeds
@@ -87,6 +89,7 @@ class MixtureSampling:
         largest_part: How many final rollouts are sampled at once.
         enough: Violations after which a stage of more rollouts, from which is learned, is over.
         chains: Rollouts a level of the chains that search for failure modes first; 0: none do.
+        surrogate: On which proposals are learned first; ``None``: there is none.
     """
 
     learning_stages: int
@@ -98,6 +101,7 @@ class MixtureSampling:
     largest_part: int = LARGEST_PART
     enough: int = LARGEST_PART // 2
     chains: int = 0
+    surrogate: Surrogate | None = None
     name: str = "mixture"
 
     @property
@@ -128,6 +132,9 @@ class MixtureSampling:
         """Draw from the newest proposals; fit the next one unless the stage is the last."""
         steps = problem.simulator.states - 1
         last = self._is_last(state)
+        if self.surrogate is not None and state.on_surrogate is None:
+            found = learn_on(self.surrogate, problem, self, repetition=state.repetition)
+            state = replace(state, on_surrogate=found, basis=found.basis)
         if self.chains and state.explored is None:
             state = replace(state, explored=self._explored(problem, state))
         sampled = self._sampled(problem, state)
@@ -189,13 +196,17 @@ class MixtureSampling:
             explores=self._explores(state.stage),
             for_final=self._is_last(state),
         )
-        state = self._with_explored(replace(state, plain=plain), fits, basis)
+        state, newest = replace(state, plain=plain), fits[-1]
+        if state.stage == 1 and state.on_surrogate is not None:
+            taught = state.on_surrogate.fits
+            fits = with_explored(fits, taught, rollouts=pool.count, share=SURROGATE_SHARE)
+        state = self._with_explored(state, fits, basis)
         return state, replace(
             result,
             kind="pretrain" if state.stage == 1 else "learn",
             learned=stages.main_proposal(state, steps=state.steps),
-            threshold=fits[-1].threshold,
-            elites=fits[-1].elites,
+            threshold=newest.threshold,
+            elites=newest.elites,
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
@@ -289,6 +300,14 @@ class MixtureSampling:
     def extended(self, *, stages: int, rollouts: int) -> "MixtureSampling":
         """The method with more learning stages, all yet to come with so many ``rollouts``."""
         return replace(self, learning_stages=self.learning_stages + stages, rollouts=rollouts)
+
+    def surrogate_learning(self, state: MixtureState) -> SurrogateLearning | None:
+        """What was learned before the first stage, if there was something to learn on."""
+        surrogate, found = self.surrogate, state.on_surrogate
+        if surrogate is None or found is None:
+            return None
+        probability = found.estimate.probability
+        return SurrogateLearning(surrogate.simulator.name, surrogate.simulated, probability)
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were sampled.

@@ -38,6 +38,7 @@ from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialB
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
+from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
 from pemviz.sampling.rollouts.losing import lost_rows
@@ -240,6 +241,7 @@ class MixtureState:
         steps: Of a rollout.
         explored: What chains found; ``None``: nothing was searched for.
         explored_fits: Proposals fitted to that; empty before the first stage.
+        on_surrogate: What a surrogate's rollouts have taught; ``None``: nothing was.
     """
 
     repetition: int
@@ -259,6 +261,7 @@ class MixtureState:
     steps: int = 0
     explored: Explored | None = None
     explored_fits: tuple[Fit, ...] = ()
+    on_surrogate: LearnedOnSurrogate | None = None
 
     @property
     def is_hard_to_learn(self) -> bool:
@@ -291,7 +294,7 @@ def watching(problem: Problem) -> Problem:
 
 def main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal | None:
     """The main proposal that is sampled from next; ``None`` before the first stage."""
-    if state.basis is None:
+    if state.basis is None or not state.fits:
         return None
     means = state.fits[0].means
     return OffsetLogisticProposal(

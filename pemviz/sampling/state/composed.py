@@ -322,6 +322,9 @@ def composed(
         twin=twin,
         features=ComposedFeatures(back_end.features, properties),
         single_outcomes=back_end,
+        surrogate=None
+        if back_end.surrogate is None
+        else system_of(back_end.surrogate, properties, pem=own),
     )
     return system, model
 

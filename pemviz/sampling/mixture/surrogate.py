@@ -1,0 +1,103 @@
+"""Proposals that are learned on a surrogate before the simulator itself is run.
+
+A surrogate is a fast simulator of about the same scenario: coarser physics, another braking limit,
+a delay left out. Rollouts of it are sampled and proposals fitted to them as on any simulator. The
+first stage on the simulator itself explores as it does without one, as a surrogate may know only
+some of the failure modes; the second samples from the surrogate's proposals too. From then on the
+simulator's own rollouts alone are learned from, and they alone are weighed: a surrogate that is
+wrong costs rollouts, and never biases the answer (multifidelity importance sampling: Peherstorfer,
+Cui, Marzouk, Willcox 2016).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pemviz.faults import of_no_rollouts
+from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.sampling.mixture.fit import Fit
+from pemviz.sampling.problem import Problem, nothing_finished
+from pemviz.sampling.rollouts.runners import CompiledRunner
+from pemviz.types import Estimate, Simulator
+
+if TYPE_CHECKING:
+    from pemviz.sampling.mixture.method import MixtureSampling
+
+SHARE = 0.5
+"""Of the second stage's rollouts that are not exploration proposals, sampled from the
+surrogate's."""
+FIRST_REPETITION = 2**31
+"""Number of the first repetition where seeds of a surrogate's rollouts are concerned."""
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """A simulator of about the same scenario, and how much is learned on it.
+
+    Attributes:
+        simulator: With the states, signals, latents and slots of the one in question.
+        learning_stages: Stages after its first.
+        rollouts: In each.
+    """
+
+    simulator: Simulator
+    learning_stages: int
+    rollouts: int
+
+    @property
+    def simulated(self) -> int:
+        """Rollouts of a repetition."""
+        return (self.learning_stages + 1) * self.rollouts
+
+
+@dataclass(frozen=True)
+class LearnedOnSurrogate:
+    """What rollouts of a surrogate have taught.
+
+    Attributes:
+        estimate: The surrogate's own failure probability, as its stages tell it.
+        fits: Its proposals, whose shares sum to 1; none where nothing violates on it.
+        basis: What they look at, standardised by its first stage; ``None`` without any.
+    """
+
+    estimate: Estimate
+    fits: tuple[Fit, ...] = ()
+    basis: PolynomialBasis | None = None
+
+
+def learn_on(
+    surrogate: Surrogate, problem: Problem, method: MixtureSampling, *, repetition: int
+) -> LearnedOnSurrogate:
+    """All learning stages of a method, on a surrogate in this process.
+
+    Args:
+        surrogate: In the simulator's place.
+        problem: Of the simulator itself.
+        method: Whose other settings are taken.
+        repetition: Zero-based; another one has rollouts of its own.
+
+    Raises:
+        SimulationError: The surrogate raises, or has something that is no finite number.
+    """
+    stages, rollouts = surrogate.learning_stages, surrogate.rollouts
+    own = replace(method, surrogate=None, chains=0, learning_stages=stages, rollouts=rollouts)
+    own_problem = replace(
+        problem,
+        simulator=surrogate.simulator,
+        run_batches=CompiledRunner(),
+        batch_rollouts=max(problem.batch_rollouts, rollouts),
+        progress=lambda _, __: problem.pause(),
+        finished=nothing_finished,
+        lost="end",
+    )
+    state = own.init(own_problem, repetition=FIRST_REPETITION + repetition)
+    with of_no_rollouts():  # of the stage that comes after
+        while state.stage <= stages:
+            state, _ = own.step(own_problem, state)
+    estimate = own.preview(state)
+    if not estimate.failures:
+        return LearnedOnSurrogate(estimate)
+    total = sum(fit.share for fit in state.fits)
+    fits = tuple(replace(fit, share=fit.share / total) for fit in state.fits)
+    return LearnedOnSurrogate(estimate, fits, state.basis)
