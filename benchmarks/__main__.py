@@ -28,8 +28,9 @@ class BenchArguments:
     ``accuracy`` measures how wrong the methods are on scenarios with known answers, ``trust``
     whether answers that nothing warns of are right, ``external`` both on published problems beside
     others' programs, ``scale`` how time and memory grow, ``compare`` how many times faster pemviz
-    is than what one would write else, ``runs`` how long ten runs that a user would make take; they
-    have options of their own.
+    is than what one would write else, ``runs`` how long ten runs that a user would make take,
+    ``surrogates`` how many rollouts of a slow simulator a fast one saves; they have options of
+    their own.
     """
 
     part: tuple[Part, ...] = (
@@ -67,6 +68,7 @@ def run(words: Sequence[str]) -> int:
         "external": _external,
         "runs": _runs,
         "scale": _scale,
+        "surrogates": _surrogates,
     }
     if words and words[0] in studies:
         return studies[words[0]](words[1:])
@@ -152,6 +154,14 @@ def _trust(words: Sequence[str]) -> int:
         print("\n".join(case_lines(chosen(study.cases, trust_cases()))))
         return EXIT_DONE
     print("\n".join(report_lines(run_trust(study))))
+    return EXIT_DONE
+
+
+def _surrogates(words: Sequence[str]) -> int:
+    from benchmarks.surrogates import SurrogateStudy, run_surrogates, surrogate_lines  # noqa: PLC0415
+
+    study = parse_arguments(SurrogateStudy, words, command="surrogates", program=PROGRAM)
+    print("\n".join(surrogate_lines(run_surrogates(study))))
     return EXIT_DONE
 
 

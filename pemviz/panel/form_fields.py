@@ -246,8 +246,8 @@ def _choices(key: str, kind: Any) -> tuple[tuple[str, ...], bool]:
     shipped = {"pem": shipped_pems, "position_errors": shipped_position_errors}
     if key in shipped:
         return tuple(shipped[key]()), True
-    if key == "simulator":
-        return SIMULATORS.names(), False
+    if key in ("simulator", "surrogate"):
+        return SIMULATORS.names(), key == "surrogate"
     if get_origin(kind) is Literal:
         return get_args(kind), False
     parts = [part for part in get_args(kind)[1:] if isinstance(part, NamedPart)]

@@ -161,8 +161,7 @@ def build_experiment(
     config, named, back_end = _named_parts(
         config, own, pem, allow_python=allow_python, hidden=hidden
     )
-    if own is not None or surrogate is not None:
-        back_end = back_ends.with_surrogate(back_end, config, given=surrogate)
+    back_end = back_ends.with_surrogate(back_end, config, given=surrogate)
     back_end = back_ends.with_choices(back_end, features=features, batch_rollouts=batch_rollouts)
     _check_hidden(config, back_end, hidden)
     check_salient_names(named, back_end.simulator)
@@ -312,7 +311,7 @@ def _named_parts(
     config.validate()
     if own is not None:
         back_ends.check_measures(config)
-    back_end = own or back_ends.build_back_end(config)
+    back_end = own or back_ends.build_back_end(replace(config, surrogate=None))
     observed = back_ends.observed_outcomes(config, back_end, given=pem, hidden=hidden)
     if observed is not None:
         return replace(config, pem=observed.name), observed, back_end

@@ -13,10 +13,9 @@ from pemviz.simulators.latents import latent_counts
 
 CHAINS = 200
 """Rollouts a level of chains, where they search."""
-
-
 SURROGATE_TIMES = 4
-"""Rollouts of a stage on a surrogate, for each of a stage on the simulator."""
+"""Rollouts of a stage on a surrogate, for each of a stage on the simulator; where that is large,
+fewer."""
 
 
 def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
@@ -29,7 +28,7 @@ def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     largest = largest_part(states=simulator.states)
     surrogate = None
     if back_end.surrogate is not None:
-        rollouts = SURROGATE_TIMES * config.rollouts
+        rollouts = min(SURROGATE_TIMES * config.rollouts, max(1, largest // 2))
         surrogate = Surrogate(back_end.surrogate, config.stages, rollouts)
     return MixtureSampling(
         learning_stages=config.stages,

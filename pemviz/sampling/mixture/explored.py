@@ -37,11 +37,17 @@ from pemviz.sampling.mixture.fit import (
     fits_to_failures,
 )
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
+from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.types import Diagnostic, Estimate, ScoredRollouts
 
 SHARE = 0.25
 """Of a stage's rollouts that are not exploration proposals, sampled from the chains' proposals."""
+SURROGATE_SHARE, LATER_SHARE = 0.5, 0.25
+"""Of the second stage's rollouts that are not exploration proposals, sampled from the surrogate's,
+and of every later one's, as long as the surrogate's probability is near the simulator's."""
+NEAR = 1.0
+"""In decades; farther apart, they are systems that fail in other ways."""
 LEVEL = 0.995
 """Of the two-sided interval that the chains' estimates are compared by: 99 %."""
 MOST_NATS = 700.0
@@ -79,6 +85,26 @@ def with_explored(
         *(replace(fit, share=(1.0 - share) * fit.share) for fit in fits),
         *(replace(fit, share=share * fit.share, optimism=np.zeros(rollouts)) for fit in explored),
     )
+
+
+def with_taught(
+    fits: Sequence[Fit], taught: LearnedOnSurrogate, *, pool: Pool, stage: int
+) -> tuple[Fit, ...]:
+    """What a stage samples from, the surrogate's proposals last.
+
+    Args:
+        fits: Fitted to the pool.
+        taught: By the surrogate.
+        pool: The simulator's own rollouts.
+        stage: Zero-based.
+    """
+    share = SURROGATE_SHARE if stage == 1 else LATER_SHARE
+    if stage > 1 and pool.violated.any():
+        log_probability = log_sum(pool.log_weight[pool.violated]) - math.log(pool.sampled)
+        theirs = taught.estimate.log10_probability
+        if theirs is None or abs(log_probability / math.log(10.0) - theirs) > NEAR:
+            return tuple(fits)
+    return with_explored(fits, taught.fits, rollouts=pool.count, share=share)
 
 
 def against_chains(

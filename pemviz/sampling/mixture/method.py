@@ -58,12 +58,16 @@ from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
-from pemviz.sampling.mixture.explored import against_chains, explored_fits, with_explored
+from pemviz.sampling.mixture.explored import (
+    against_chains,
+    explored_fits,
+    with_explored,
+    with_taught,
+)
 from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
-from pemviz.sampling.mixture.surrogate import SHARE as SURROGATE_SHARE
 from pemviz.sampling.mixture.surrogate import Surrogate, learn_on
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
@@ -197,9 +201,8 @@ class MixtureSampling:
             for_final=self._is_last(state),
         )
         state, newest = replace(state, plain=plain), fits[-1]
-        if state.stage == 1 and state.on_surrogate is not None:
-            taught = state.on_surrogate.fits
-            fits = with_explored(fits, taught, rollouts=pool.count, share=SURROGATE_SHARE)
+        if state.on_surrogate is not None:
+            fits = with_taught(fits, state.on_surrogate, pool=pool, stage=state.stage)
         state = self._with_explored(state, fits, basis)
         return state, replace(
             result,

@@ -4,9 +4,9 @@ A surrogate is a fast simulator of about the same scenario: coarser physics, ano
 a delay left out. Rollouts of it are sampled and proposals fitted to them as on any simulator. The
 first stage on the simulator itself explores as it does without one, as a surrogate may know only
 some of the failure modes; the second samples from the surrogate's proposals too. From then on the
-simulator's own rollouts alone are learned from, and they alone are weighed: a surrogate that is
-wrong costs rollouts, and never biases the answer (multifidelity importance sampling: Peherstorfer,
-Cui, Marzouk, Willcox 2016).
+simulator's own rollouts alone are learned from, while the surrogate's proposals keep a share if its
+probability is near; and they alone are weighed: a surrogate that is wrong costs rollouts, and never
+biases the answer (multifidelity importance sampling: Peherstorfer, Cui, Marzouk, Willcox 2016).
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ from pemviz.types import Estimate, Simulator
 if TYPE_CHECKING:
     from pemviz.sampling.mixture.method import MixtureSampling
 
-SHARE = 0.5
-"""Of the second stage's rollouts that are not exploration proposals, sampled from the
-surrogate's."""
 FIRST_REPETITION = 2**31
 """Number of the first repetition where seeds of a surrogate's rollouts are concerned."""
 
