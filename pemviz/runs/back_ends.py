@@ -69,7 +69,11 @@ def with_surrogate(
     if detecting(back_end.simulator) is not None:
         raise ConfigError(f"{where}: {DETECTOR_KNOWS.format(back_end.simulator.name)}")
     named = replace(config, simulator=config.surrogate, surrogate=None)
-    other = _named_back_end(named) if given is None else own_back_end(given)
+    try:
+        other = _named_back_end(named) if given is None else own_back_end(given)
+    except ConfigError as error:
+        words = str(error).replace(f"simulator = {config.surrogate!r}", where, 1)
+        raise ConfigError(words) from error
     theirs = _parts_of(back_end.simulator)
     for what, own in _parts_of(other.simulator).items():
         if own != theirs[what]:

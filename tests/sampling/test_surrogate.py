@@ -77,6 +77,20 @@ def test_one_that_is_right_saves_rollouts_and_says_what_it_has_seen():
     assert found.probability == pytest.approx(EXACT, rel=0.3)
     told = summary_text(result)
     assert "learned first on 4400 rollouts of surrogate surrogate, whose own failure" in told
+
+
+def test_its_probability_is_its_own():
+    wrong = SURROGATES["fails too often"]
+    result = run(experiment(wrong, seed=1))
+    exact = toy_probability_by_recursion(wrong, PEM)
+    assert exact > 20.0 * EXACT
+    assert result.surrogate.probability == pytest.approx(exact, rel=0.3)
+
+
+def test_one_that_never_fails_teaches_nothing_and_says_so():
+    result = run(experiment(SURROGATES["never fails"], seed=2))
+    assert result.surrogate.probability == 0.0
+    told = summary_text(result)
     assert "4400 rollouts of surrogate surrogate taught nothing: none of them violates" in told
 
 

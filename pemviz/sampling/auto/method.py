@@ -239,6 +239,10 @@ class AutoSampling:
         method, inner = proposing.method, proposing.state
         if inner.frozen:
             return state
+        surrogate, taught = self.mixture.surrogate, inner.on_surrogate
+        if surrogate is not None and taught is not None and not taught.fits:
+            stages = max(method.learning_stages, surrogate.learning_stages)
+            method = replace(method, learning_stages=stages)  # as without one
         if inner.stage == method.learning_stages + 1:
             method = self._gone_on(state, method, inner)
         elif state.seconds and self._left_s(state) < 2.0 * state.seconds[-1]:
