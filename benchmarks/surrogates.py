@@ -32,18 +32,6 @@ SURROGATES: Mapping[str, Change | None] = {
 }
 
 
-@dataclass(frozen=True)
-class Surrogate:
-    """A braking scenario with other numbers and a name of its own."""
-
-    scenario: VectorizedSimulator
-    name: str = "other-brakes"
-
-    def __getattr__(self, attribute: str) -> object:
-        """Everything else is the scenario's."""
-        return getattr(self.scenario, attribute)
-
-
 @dataclass(frozen=True, kw_only=True)
 class SurrogateStudy:
     """How many rollouts of a simulator a surrogate saves, and whether answers hold.
@@ -86,7 +74,7 @@ def _case(name: str, change: Change | None, *, seeds: int) -> Row:
         config = ExperimentConfig(seed=seed, measured_memory=False)
         surrogate = None
         if change is not None:
-            surrogate = Surrogate(VectorizedSimulator(change(config.scenario)))
+            surrogate = VectorizedSimulator(change(config.scenario))
         built = pemviz.build_experiment(config, surrogate=surrogate)
         if not exact:
             log_exact = exact_log_probability(built.problem, twin=built.problem.simulator)

@@ -77,6 +77,10 @@ def learn_on(
     Raises:
         SimulationError: The surrogate raises, or has something that is no finite number.
     """
+
+    def progress(done: int, total: int) -> None:  # noqa: ARG001  they are not the stage's
+        problem.pause()
+
     stages, rollouts = surrogate.learning_stages, surrogate.rollouts
     own = replace(method, surrogate=None, chains=0, learning_stages=stages, rollouts=rollouts)
     own_problem = replace(
@@ -84,7 +88,7 @@ def learn_on(
         simulator=surrogate.simulator,
         run_batches=CompiledRunner(),
         batch_rollouts=max(problem.batch_rollouts, rollouts),
-        progress=lambda _, __: problem.pause(),
+        progress=progress,
         finished=nothing_finished,
         lost="end",
     )
