@@ -50,6 +50,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray, IntArray
+from pemviz.faults import of_no_rollouts
 from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
@@ -68,7 +69,7 @@ from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
-from pemviz.sampling.mixture.surrogate import Surrogate, learn_on
+from pemviz.sampling.mixture.surrogate import FIRST_REPETITION, LearnedOnSurrogate, Surrogate
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.rollouts.large_stages import LARGEST_PART, part_sizes
 from pemviz.sampling.seeds import stage_seeds
@@ -137,7 +138,7 @@ class MixtureSampling:
         steps = problem.simulator.states - 1
         last = self._is_last(state)
         if self.surrogate is not None and state.on_surrogate is None:
-            found = learn_on(self.surrogate, problem, self, repetition=state.repetition)
+            found = self._learned_on(self.surrogate, problem, repetition=state.repetition)
             state = replace(state, on_surrogate=found, basis=found.basis)
         if self.chains and state.explored is None:
             state = replace(state, explored=self._explored(problem, state))
@@ -213,6 +214,24 @@ class MixtureSampling:
             loss=fits[0].loss,
             timings_s={**result.timings_s, "fit": time.perf_counter() - began},
         )
+
+    def _learned_on(
+        self, surrogate: Surrogate, problem: Problem, *, repetition: int
+    ) -> LearnedOnSurrogate:
+        """All learning stages on a surrogate, in this process."""
+        own = replace(
+            self,
+            surrogate=None,
+            chains=0,
+            learning_stages=surrogate.learning_stages,
+            rollouts=surrogate.rollouts,
+        )
+        its_problem = surrogate.in_place(problem)
+        state = own.init(its_problem, repetition=FIRST_REPETITION + repetition)
+        with of_no_rollouts():  # of the stage that comes after
+            while state.stage <= own.learning_stages:
+                state, _ = own.step(its_problem, state)
+        return LearnedOnSurrogate.of(own.preview(state), state.fits, state.basis)
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
         return explore(

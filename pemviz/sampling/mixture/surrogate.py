@@ -9,20 +9,14 @@ probability is near; and they alone are weighed: a surrogate that is wrong costs
 biases the answer (multifidelity importance sampling: Peherstorfer, Cui, Marzouk, Willcox 2016).
 """
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from pemviz.faults import of_no_rollouts
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.sampling.mixture.fit import Fit
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.types import Estimate, Simulator
-
-if TYPE_CHECKING:
-    from pemviz.sampling.mixture.method import MixtureSampling
 
 FIRST_REPETITION = 2**31
 """Number of the first repetition where seeds of a surrogate's rollouts are concerned."""
@@ -47,6 +41,22 @@ class Surrogate:
         """Rollouts of a repetition."""
         return (self.learning_stages + 1) * self.rollouts
 
+    def in_place(self, problem: Problem) -> Problem:
+        """The same question about the surrogate, whose rollouts this process simulates."""
+
+        def progress(done: int, total: int) -> None:  # noqa: ARG001  they are no stage's
+            problem.pause()
+
+        return replace(
+            problem,
+            simulator=self.simulator,
+            run_batches=CompiledRunner(),
+            batch_rollouts=max(problem.batch_rollouts, self.rollouts),
+            progress=progress,
+            finished=nothing_finished,
+            lost="end",
+        )
+
 
 @dataclass(frozen=True)
 class LearnedOnSurrogate:
@@ -62,43 +72,12 @@ class LearnedOnSurrogate:
     fits: tuple[Fit, ...] = ()
     basis: PolynomialBasis | None = None
 
-
-def learn_on(
-    surrogate: Surrogate, problem: Problem, method: MixtureSampling, *, repetition: int
-) -> LearnedOnSurrogate:
-    """All learning stages of a method, on a surrogate in this process.
-
-    Args:
-        surrogate: In the simulator's place.
-        problem: Of the simulator itself.
-        method: Whose other settings are taken.
-        repetition: Zero-based; another one has rollouts of its own.
-
-    Raises:
-        SimulationError: The surrogate raises, or has something that is no finite number.
-    """
-
-    def progress(done: int, total: int) -> None:  # noqa: ARG001  they are not the stage's
-        problem.pause()
-
-    stages, rollouts = surrogate.learning_stages, surrogate.rollouts
-    own = replace(method, surrogate=None, chains=0, learning_stages=stages, rollouts=rollouts)
-    own_problem = replace(
-        problem,
-        simulator=surrogate.simulator,
-        run_batches=CompiledRunner(),
-        batch_rollouts=max(problem.batch_rollouts, rollouts),
-        progress=progress,
-        finished=nothing_finished,
-        lost="end",
-    )
-    state = own.init(own_problem, repetition=FIRST_REPETITION + repetition)
-    with of_no_rollouts():  # of the stage that comes after
-        while state.stage <= stages:
-            state, _ = own.step(own_problem, state)
-    estimate = own.preview(state)
-    if not estimate.failures:
-        return LearnedOnSurrogate(estimate)
-    total = sum(fit.share for fit in state.fits)
-    fits = tuple(replace(fit, share=fit.share / total) for fit in state.fits)
-    return LearnedOnSurrogate(estimate, fits, state.basis)
+    @classmethod
+    def of(
+        cls, estimate: Estimate, fits: Sequence[Fit], basis: PolynomialBasis | None
+    ) -> "LearnedOnSurrogate":
+        """What an estimate on the surrogate, and proposals for its next stage, tell."""
+        if not estimate.failures:
+            return cls(estimate)
+        total = sum(fit.share for fit in fits)
+        return cls(estimate, tuple(replace(fit, share=fit.share / total) for fit in fits), basis)
