@@ -7,7 +7,7 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import config_table, load_config
-from pemviz.errors import ConfigError
+from pemviz.errors import ConfigError, RunError
 from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
@@ -151,6 +151,25 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bytes(tmp_path, stops):
     assert read_result(part).estimate == read_result(whole).estimate
     assert read_result(part).surrogate == read_result(whole).surrogate
     assert load_config(part / "config.toml").surrogate == "surrogate"
+
+
+def test_a_run_does_not_go_on_with_another_surrogate(tmp_path):
+    """Its proposals would not be those that the rollouts so far were sampled from."""
+    part = tmp_path / "run"
+    part.mkdir()
+    stages = []
+
+    class Counting:
+        def notify(self, event):
+            stages.extend([None] * (type(event).__name__ == "StageDone"))
+
+    begun = experiment(SURROGATES["right"], seed=8)
+    carry_out(begun, part, observers=[Counting()], should_stop=lambda: len(stages) >= 3)
+    changed = experiment(SURROGATES["fails too often"], seed=8)
+    with pytest.raises(RunError, match=r"^surrogate 'surrogate': has changed since this run was"):
+        carry_out(changed, part)
+    carry_out(begun, part)
+    assert read_result(part).estimate == run(begun).estimate
 
 
 def test_memory_and_frailty_are_those_of_the_simulators_system():

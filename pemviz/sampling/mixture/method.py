@@ -139,6 +139,9 @@ class MixtureSampling:
         last = self._is_last(state)
         if self.surrogate is not None and state.on_surrogate is None:
             found = self._learned_on(self.surrogate, problem, repetition=state.repetition)
+            finished = problem.finished(state.repetition, 0)
+            if finished is not None:
+                found.check_same(finished.kept, name=self.surrogate.simulator.name)
             state = replace(state, on_surrogate=found, basis=found.basis)
         if self.chains and state.explored is None:
             state = replace(state, explored=self._explored(problem, state))
@@ -160,6 +163,8 @@ class MixtureSampling:
             sampled_from=stages.main_proposal(state, steps=steps) or PemProposal(),
             sampled=sampled.sampled,
         )
+        if state.on_surrogate is not None and state.stage == 0:
+            result = replace(result, kept={**result.kept, **state.on_surrogate.kept})
         if last:
             return advanced, result
         return self._learned(

@@ -9,15 +9,24 @@ probability is near; and they alone are weighed: a surrogate that is wrong costs
 biases the answer (multifidelity importance sampling: Peherstorfer, Cui, Marzouk, Willcox 2016).
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from pemviz.arrays import AnyArray
+from pemviz.errors import InputError
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.sampling.mixture.fit import Fit
 from pemviz.sampling.problem import Problem, nothing_finished
 from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.types import Estimate, Simulator
 
+LEARNED = "surrogate"
+"""What a surrogate's rollouts came to, kept beside the first stage's rollouts."""
+SAME = 1e-6
+"""Decades of the surrogate's probability: nearer, it is the same surrogate on another machine."""
 FIRST_REPETITION = 2**31
 """Number of the first repetition where seeds of a surrogate's rollouts are concerned."""
 
@@ -71,6 +80,25 @@ class LearnedOnSurrogate:
     estimate: Estimate
     fits: tuple[Fit, ...] = ()
     basis: PolynomialBasis | None = None
+
+    @property
+    def kept(self) -> dict[str, AnyArray]:
+        """What tells it from what another surrogate would have taught."""
+        log10 = self.estimate.log10_probability
+        return {LEARNED: np.array(-math.inf if log10 is None else log10)}
+
+    def check_same(self, kept: Mapping[str, AnyArray], *, name: str) -> None:
+        """Refuse to go on from rollouts of proposals that another surrogate taught.
+
+        Raises:
+            InputError: ``kept``, beside the first stage's rollouts, is of another one.
+        """
+        before, now = kept.get(LEARNED), self.kept[LEARNED]
+        if before is not None and not np.isclose(before, now, rtol=0.0, atol=SAME):
+            raise InputError(
+                f"surrogate {name!r}: has changed since this run was begun; go on with it as it "
+                "was, or start a new run"
+            )
 
     @classmethod
     def of(
