@@ -528,7 +528,8 @@ def _budget_text(config: ExperimentConfig) -> str:
     method = by_name(config.method)
     parts = [method.budget(config).words]
     for field in fields(config):
-        if field.name in method.settings - {"stages", "rollouts", "final_rollouts"}:
+        # what was learned on a surrogate has a row of its own
+        if field.name in method.settings - {"stages", "rollouts", "final_rollouts", "surrogate"}:
             value = getattr(config, field.name)
             if field.name == "alpha" and value is None:
                 value = "chosen at each stage" if method.alpha is None else method.alpha
