@@ -7,8 +7,7 @@ REST = "*"
 
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "question": ("preset", "config", "spec", "rule", "start", "tracker", "simulator",
-                 "surrogate", "carla",
-                 "sumo_config", "encounters_per_hour"),
+                 "surrogate", "carla", "sumo_config", "encounters_per_hour"),
     "detector": ("pem", "memory_s", "assumed_memory_s", "frailty", "memory_law",
                  "varying_frailty", "varying_frailty_s", "measured_memory",
                  "memory_curve", "position_errors", "allow_python"),

@@ -182,8 +182,8 @@ def chosen_text(result: RunResult) -> str | None:
 def surrogate_text(result: RunResult) -> str | None:
     """What was learned on a surrogate first; ``None`` if nothing was.
 
-    For instance 'proposals were learned first on 4400 rollouts of surrogate vectorized, of which
-    the probability is 8.8e-15'.
+    For instance 'proposals were learned first on 4400 rollouts of surrogate vectorized, whose own
+    failure probability is 8.8e-15'.
     """
     found = result.surrogate
     if found is None:

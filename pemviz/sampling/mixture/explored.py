@@ -57,7 +57,7 @@ MOST_NATS = 700.0
 def explored_fits(
     explored: Explored, *, terms: Terms, basis: PolynomialBasis, settings: FitSettings
 ) -> tuple[Fit, ...]:
-    """A proposal for each failure mode among what the chains found; their shares sum to 1."""
+    """A proposal for each failure mode among what the chains found."""
     if explored.scored is None:
         return ()
     model = error_model(explored.scored.rollouts, terms)
@@ -65,11 +65,11 @@ def explored_fits(
     # what they count as under the error model, in place of a likelihood ratio
     # all count alike: by what its run found, one run's would hide the modes that others met
     pool = replace(pool, log_ratio=np.zeros_like(pool.log_ratio))
-    fits = fits_to_failures(
-        pool, basis, settings, least_scatter=HIDDEN_LEAST_SCATTER, price=HIDDEN_PRICE
+    return tuple(
+        fits_to_failures(
+            pool, basis, settings, least_scatter=HIDDEN_LEAST_SCATTER, price=HIDDEN_PRICE
+        )
     )
-    total = sum(fit.share for fit in fits)
-    return tuple(replace(fit, share=fit.share / total) for fit in fits)
 
 
 def with_explored(
@@ -77,13 +77,14 @@ def with_explored(
 ) -> tuple[Fit, ...]:
     """What a stage samples from, the main proposal first, those of chains or a surrogate last.
 
-    ``rollouts`` are the pool's, to which the last were not fitted; ``share`` is theirs.
+    ``rollouts`` are the pool's, to which the last were not fitted; ``share`` is that of them all.
     """
     if not explored:
         return tuple(fits)
+    total, none = sum(fit.share for fit in explored), np.zeros(rollouts)
     return (
         *(replace(fit, share=(1.0 - share) * fit.share) for fit in fits),
-        *(replace(fit, share=share * fit.share, optimism=np.zeros(rollouts)) for fit in explored),
+        *(replace(fit, share=share * (fit.share / total), optimism=none) for fit in explored),
     )
 
 

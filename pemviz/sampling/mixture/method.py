@@ -236,7 +236,10 @@ class MixtureSampling:
         with of_no_rollouts():  # of the stage that comes after
             while state.stage <= own.learning_stages:
                 state, _ = own.step(its_problem, state)
-        return LearnedOnSurrogate.of(own.preview(state), state.fits, state.basis)
+        estimate = own.preview(state)
+        if not estimate.failures:
+            return LearnedOnSurrogate(estimate)
+        return LearnedOnSurrogate(estimate, state.fits, state.basis)
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
         return explore(

@@ -10,7 +10,7 @@ biases the answer (multifidelity importance sampling: Peherstorfer, Cui, Marzouk
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,7 +54,7 @@ class Surrogate:
         """The same question about the surrogate, whose rollouts this process simulates."""
 
         def progress(done: int, total: int) -> None:  # noqa: ARG001  they are no stage's
-            problem.pause()
+            problem.progress(0, self.rollouts)
 
         return replace(
             problem,
@@ -73,7 +73,7 @@ class LearnedOnSurrogate:
 
     Attributes:
         estimate: The surrogate's own failure probability, as its stages tell it.
-        fits: Its proposals, whose shares sum to 1; none where nothing violates on it.
+        fits: Its proposals; none where nothing violates on it.
         basis: What they look at, standardised by its first stage; ``None`` without any.
     """
 
@@ -99,13 +99,3 @@ class LearnedOnSurrogate:
                 f"surrogate {name!r}: has changed since this run was begun; go on with it as it "
                 "was, or start a new run"
             )
-
-    @classmethod
-    def of(
-        cls, estimate: Estimate, fits: Sequence[Fit], basis: PolynomialBasis | None
-    ) -> "LearnedOnSurrogate":
-        """What an estimate on the surrogate, and proposals for its next stage, tell."""
-        if not estimate.failures:
-            return cls(estimate)
-        total = sum(fit.share for fit in fits)
-        return cls(estimate, tuple(replace(fit, share=fit.share / total) for fit in fits), basis)
