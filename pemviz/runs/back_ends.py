@@ -14,7 +14,7 @@ from pemviz.sampling.description import MethodDescription, Need
 from pemviz.sampling.problem import BATCH_ROLLOUTS
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.large_stages import largest_part
-from pemviz.sampling.slots import turns_of
+from pemviz.sampling.slots import turns_of, unrolled
 from pemviz.simulators.braking.scenario import BrakingFeatures
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from pemviz.simulators.check import check_simulator
@@ -74,21 +74,31 @@ def with_surrogate(
     except ConfigError as error:
         words = str(error).replace(f"simulator = {config.surrogate!r}", where, 1)
         raise ConfigError(words) from error
-    theirs = _parts_of(back_end.simulator)
-    for what, own in _parts_of(other.simulator).items():
-        if own != theirs[what]:
-            raise ConfigError(
-                f"{where}: {what} {own}: must be those of simulator {back_end.simulator.name!r}, "
-                f"{theirs[what]}"
-            )
+    _check_alike(other.simulator, back_end.simulator, where=where)
     return replace(back_end, surrogate=other.simulator)
 
 
+def _check_alike(other: Simulator, simulator: Simulator, *, where: str) -> None:
+    """Refuse a twin or a surrogate that rollouts of the simulator could not be rollouts of.
+
+    Raises:
+        ConfigError: It has other parts than the simulator.
+    """
+    theirs = _parts_of(simulator)
+    for what, own in _parts_of(other).items():
+        if own != theirs[what]:
+            raise ConfigError(
+                f"{where}: {what} {own}: must be those of simulator {simulator.name!r}, "
+                f"{theirs[what]}"
+            )
+
+
 def _parts_of(simulator: Simulator) -> Mapping[str, str]:
-    """What a surrogate must share with the simulator, in words."""
-    turns, tracker = turns_of(simulator), tracker_of(simulator)
+    """What a twin and a surrogate must share with the simulator, in words."""
+    turns, tracker, scenario = turns_of(simulator), tracker_of(simulator), unrolled(simulator)
+    slots = () if scenario is None else scenario.slots
     return {
-        "slots": str(turns),
+        "slots": ", ".join(slot.name for slot in slots) or "none",
         "states": f"{(simulator.states - 1) // turns + 1} of {simulator.dt_s:g} s",
         "signals": ", ".join(signal.name for signal in simulator.signals),
         "latents": str(latent_counts(simulator)),
@@ -175,8 +185,8 @@ def own_back_end(
     rollout at a time.
 
     Raises:
-        ConfigError: One of them does not keep to the protocol, or they differ in their states, or
-            there are latents, which no twin can have.
+        ConfigError: One of them does not keep to the protocol, or they differ in their steps,
+            signals, slots or tracker, or there are latents, which no twin can have.
     """
     if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
         simulator = side_by_side(simulator)
@@ -186,25 +196,6 @@ def own_back_end(
         with refusing():
             loop.check_detector()
     check_simulator(given)
-    where = f"twin of simulator {given.name!r}"
-    if twin is not None:
-        if episodic(simulator) is not None:
-            raise ConfigError(
-                f"{where}: it is episodic, and its states cannot be kept; without a twin, "
-                "use mixture"
-            )
-        counts = latent_counts(simulator)
-        # a twin's states must be few: its start may be random where it is quantised, its steps not
-        if counts and not (start_cells(twin) and latent_counts(twin) == counts):
-            raise ConfigError(
-                f"{where}: it has latents, and a twin's states must be those that outcomes alone "
-                "lead to; of a random start alone, give pemviz.quantised_start(simulator, "
-                f"cells=...); without a twin, {FIT_ANYWHERE.format(check='subset')}"
-            )
-        if twin is not given:
-            check_simulator(twin)
-        if _shape_of(twin) != _shape_of(simulator):
-            raise ConfigError(f"{where}: must have the same states and signals")
     own = _single_outcome(given)
     unrolled = own if isinstance(own, UnrolledSimulator) else None
     features = SignalFeatures(own.signals) if unrolled is None else SlotFeatures(unrolled)
@@ -212,14 +203,34 @@ def own_back_end(
     return BackEnd(
         simulator=own,
         features=features if tracker is None else TrackFeatures(features, tracker, unrolled),
-        twin=None if twin is None else _single_outcome(twin),
+        twin=None if twin is None else _checked_twin(twin, given),
         batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
         is_own=True,
     )
 
 
-def _shape_of(simulator: Any) -> tuple[object, ...]:
-    return simulator.states, simulator.signals, getattr(simulator, "slots", ())
+def _checked_twin(
+    twin: Simulator | SlotSimulator,
+    simulator: Simulator | SlotSimulator | LatentSimulator,
+) -> Simulator:
+    where = f"twin of simulator {simulator.name!r}"
+    if episodic(simulator) is not None:
+        raise ConfigError(
+            f"{where}: it is episodic, and its states cannot be kept; without a twin, use mixture"
+        )
+    counts = latent_counts(simulator)
+    # a twin's states must be few: its start may be random where it is quantised, its steps not
+    if counts and not (start_cells(twin) and latent_counts(twin) == counts):
+        raise ConfigError(
+            f"{where}: it has latents, and a twin's states must be those that outcomes alone "
+            "lead to; of a random start alone, give pemviz.quantised_start(simulator, "
+            f"cells=...); without a twin, {FIT_ANYWHERE.format(check='subset')}"
+        )
+    if twin is not simulator:
+        check_simulator(twin)
+    own = _single_outcome(twin)
+    _check_alike(own, _single_outcome(cast(Simulator, simulator)), where=where)
+    return own
 
 
 def _single_outcome(simulator: Simulator | SlotSimulator) -> Simulator:

@@ -271,5 +271,34 @@ def test_a_twin_of_ones_own_gives_the_reference():
     assert result.config.simulator == "toy"
     assert result.config.pem == result.pem.name == "ToyPem"
     assert "lead car" not in " ".join(result.assumptions)
-    with pytest.raises(pemviz.ConfigError, match="twin of simulator 'toy'"):
-        pemviz.build_experiment(config, simulator=toy, pem=pem, twin=ToySimulator(states=9))
+
+
+class RenamedGap(Bent):
+    """The toy that calls its gap a distance."""
+
+    def __init__(self):
+        super().__init__(signals=(replace(GAP, name="distance"),))
+
+    def initial(self, *, count):
+        return replace(self._toy.initial(count=count), signals={"distance": np.full(count, 5.0)})
+
+    def step(self, states, detected):
+        toy = replace(states, signals={"gap": states.signals["distance"]})
+        moved = self._toy.step(toy, detected)
+        return replace(moved, signals={"distance": moved.signals["gap"]})
+
+    def salient(self, signals):
+        return signals["distance"][..., None]
+
+
+@pytest.mark.parametrize(
+    ("twin", "words"),
+    [
+        (ToySimulator(states=9), "states 9 of 1 s: must be those of simulator 'toy', 15 of 1 s"),
+        (Bent(dt_s=0.5), "states 15 of 0.5 s: must be those of simulator 'toy', 15 of 1 s"),
+        (RenamedGap(), "signals distance: must be those of simulator 'toy', gap"),
+    ],
+)
+def test_a_twin_of_other_parts_is_refused(twin, words):
+    with pytest.raises(pemviz.ConfigError, match=f"^twin of simulator 'toy': {words}"):
+        pemviz.build_experiment(CONFIG, simulator=ToySimulator(), pem=ToyPem(), twin=twin)
