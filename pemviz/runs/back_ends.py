@@ -21,7 +21,7 @@ from pemviz.simulators.check import check_simulator
 from pemviz.simulators.detector_loop import DetectorItself, detecting
 from pemviz.simulators.encounters.scenario import EncounterFeatures
 from pemviz.simulators.episodic import EpisodicSimulator, episodic, side_by_side
-from pemviz.simulators.latents import LatentSimulator, latent_counts
+from pemviz.simulators.latents import LatentSimulator, latent_counts, parts_of
 from pemviz.simulators.merge.scenario import MergeSimulator
 from pemviz.simulators.quantised import start_cells
 from pemviz.simulators.registry import SHIPPED, build_encounter_simulator, build_named_simulator
@@ -95,8 +95,9 @@ def _check_alike(other: Simulator, simulator: Simulator, *, where: str) -> None:
 
 def _parts_of(simulator: Simulator) -> Mapping[str, str]:
     """What a twin and a surrogate must share with the simulator, in words."""
-    turns, tracker, scenario = turns_of(simulator), tracker_of(simulator), unrolled(simulator)
+    turns, scenario = turns_of(simulator), unrolled(simulator)
     slots = () if scenario is None else scenario.slots
+    tracker = next(filter(None, map(tracker_of, parts_of(simulator))), None)
     return {
         "slots": ", ".join(slot.name for slot in slots) or "none",
         "states": f"{(simulator.states - 1) // turns + 1} of {simulator.dt_s:g} s",
