@@ -2,6 +2,7 @@
 
 import contextlib
 import faulthandler
+import itertools
 import multiprocessing
 import os
 import shutil
@@ -42,6 +43,22 @@ def usable_cpus() -> int:
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return os.cpu_count() or 1
+
+
+def resident_bytes() -> int:
+    """Memory that this process holds; 0 where the system does not say."""
+    with contextlib.suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
+def machine_bytes() -> int:
+    """Memory that this machine has; 0 where the system does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # as on Windows
+        return 0
 
 
 @contextlib.contextmanager
@@ -117,6 +134,7 @@ class ProcessPool:
         If this process dies, the folder ``scratch`` is removed.
         """
         self._processes: list[BaseProcess] = []
+        self._retired: list[tuple[threading.Thread, list[BaseProcess]]] = []
         self._count = count
         self._new_executor = partial(
             ProcessPoolExecutor,
@@ -168,13 +186,32 @@ class ProcessPool:
     def renew(self) -> None:
         """End all processes; others are started when they are needed."""
         self.close()
+        self._start_afresh()
+
+    def retire(self) -> None:
+        """Let processes finish what they are at and end; others are started for what comes next.
+
+        What no process is at is cancelled, to be handed in again.
+        """
+        # in a thread, as an executor that is told not to wait cannot be waited for later
+        ending = threading.Thread(
+            target=self._executor.shutdown, kwargs={"wait": True, "cancel_futures": True}
+        )
+        ending.start()
+        self._retired.append((ending, self._processes))
+        self._start_afresh()
+
+    def _start_afresh(self) -> None:
         self._processes, self._executor = [], self._new_executor()
 
     def close(self) -> None:
         """End all processes at once, whatever they are at."""
-        for process in self._processes:
+        for process in itertools.chain(self._processes, *(ending for _, ending in self._retired)):
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
+        for ending, _ in self._retired:
+            ending.join()
+        self._retired.clear()
 
 
 def _called(call: bytes) -> Any:

@@ -70,16 +70,30 @@ def with_workers(
     elif workers is not None and (workers > 1 or loses):  # one too outlives what this would not
         with ProcessPool(workers) as pool:
             runner = PooledRunner(
-                pool.submit, workers, renew=pool.renew, limit_s=limit_s, loses=loses
+                pool.submit,
+                workers,
+                renew=pool.renew,
+                retire=pool.retire,
+                limit_s=limit_s,
+                loses=loses,
             )
             yield _simulated_by(experiment, runner)
-            if runner.lost:
-                words = "what they were at was simulated again, and is as it would have been"
-                if loses:
-                    words = "what they were at was simulated again, as far as that can be done"
-                print(f"worker processes that were lost: {runner.lost}; {words}", file=sys.stderr)
+            _tell_of(runner)
     else:
         yield experiment
+
+
+def _tell_of(runner: PooledRunner) -> None:
+    """Say on stderr which workers did not stay."""
+    if runner.retired:
+        times = "once" if runner.retired == 1 else f"{runner.retired} times"
+        why = "since one held much more memory than at first: the simulator may keep what it is past"
+        print(f"worker processes were replaced {times}, {why}", file=sys.stderr)
+    if runner.lost:
+        words = "what they were at was simulated again, and is as it would have been"
+        if runner.loses:
+            words = "what they were at was simulated again, as far as that can be done"
+        print(f"worker processes that were lost: {runner.lost}; {words}", file=sys.stderr)
 
 
 def _simulated_by(experiment: Experiment, runner: PooledRunner) -> Experiment:

@@ -6,11 +6,13 @@ import signal
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.problem import sample
+from pemviz.sampling.rollouts import pooled as pooled_rollouts
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.runners import BatchTask, CompiledRunner, run_here
@@ -78,7 +81,7 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
     def never(function, *arguments):
         handed_in.append(Future())
         if len(handed_in) <= 4:  # two rollouts alone, and what else the first batch has
-            handed_in[-1].set_result(function(*arguments))
+            handed_in[-1].set_result(replace(function(*arguments), took_s=0.001))
         return handed_in[-1]
 
     def stop(done, total):
@@ -215,7 +218,8 @@ def test_slow_rollouts_are_handed_in_one_by_one(toy_problem):
     def elsewhere(function, simulator, pem, task):
         future = Future()
         sizes.append(len(task.uniforms))
-        future.set_result((function(simulator, pem, task)[0], 3.0 * len(task.uniforms)))
+        took_s = 3.0 * len(task.uniforms)
+        future.set_result(replace(function(simulator, pem, task), took_s=took_s))
         return future
 
     problem = replace(toy_problem, run_batches=PooledRunner(elsewhere, 4))
@@ -378,3 +382,40 @@ def test_a_stage_does_not_depend_on_the_loop_or_its_batches():
     assert_same(by_loop.rollouts, by_numpy.rollouts)
     np.testing.assert_array_equal(by_loop.robustness, by_numpy.robustness)
     assert np.unique(by_numpy.robustness).size > 10
+
+
+class Keeps(MissCounter):
+    """Every call of ``step`` keeps 4 MB in its process for good."""
+
+    kept: ClassVar[list[np.ndarray]] = []
+
+    def step(self, states, detected):
+        self.kept.append(np.ones(2**19))
+        return super().step(states, detected)
+
+
+def test_workers_that_grow_are_replaced_and_nothing_is_lost(toy_problem, monkeypatch):
+    """After 100 MB, which each holds after five pieces."""
+    monkeypatch.setattr(pooled_rollouts, "GROWN_BYTES", 100 * 2**20)
+    monkeypatch.setattr(pooled_rollouts, "LEAST_PIECES", 3)
+    problem = replace(toy_problem, batch_rollouts=6, pem=ConstantPem(0.1))
+    processes = set()
+
+    def submit(function, *arguments):
+        future = pool.submit(function, *arguments)
+        future.add_done_callback(note)
+        return future
+
+    def note(future):
+        if not future.cancelled():
+            processes.add(future.result().process)
+
+    with ProcessPool(2) as pool:
+        runner = PooledRunner(submit, 2, renew=pool.renew, retire=pool.retire)
+        simulator = Keeps(states=problem.simulator.states)
+        found = sampled(replace(problem, simulator=simulator, run_batches=runner))
+    assert_same_scores(found, sampled(problem))
+    assert runner.lost == 0
+    assert runner.retired >= 1
+    assert len(processes) >= 3
+    assert multiprocessing.active_children() == []

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import math
+import os
 import statistics
 import time
 from collections import deque
@@ -14,7 +15,7 @@ from typing import Any, NoReturn
 from pemviz.cluster import worker_was_killed
 from pemviz.faults import SimulationError, counted_from
 from pemviz.pem.models.protocol import Pem
-from pemviz.processes import DIED
+from pemviz.processes import DIED, machine_bytes, resident_bytes
 from pemviz.sampling.rollouts.apart import simulate_apart
 from pemviz.sampling.rollouts.losing import marked, without_the_rest
 from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
@@ -34,8 +35,27 @@ PIECE_S = 0.5
 START_S = 120.0
 """Within which a worker process is there."""
 
-Timed = tuple[RolloutBatch, float]
-"""Rollouts, and how long a worker took to simulate them [s]."""
+GROWN_BYTES, GROWN_SHARE = 2**30, 0.25
+"""What a worker may hold more than after its first piece, and all of them of the machine's memory."""
+LEAST_PIECES = 20
+"""That a worker does, however it grows: starting one takes as long as some."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a worker returns.
+
+    Attributes:
+        rollouts: Those of the piece.
+        took_s: How long it took to simulate them [s].
+        process: Which one did.
+        resident_bytes: Memory that it holds.
+    """
+
+    rollouts: RolloutBatch
+    took_s: float
+    process: int
+    resident_bytes: int
 
 
 class LostError(Exception):
@@ -56,22 +76,27 @@ class PooledRunner:
         workers: How many there are.
         renew: Ends all workers and starts others, where one is lost; ``None``: what submits sees
             to it itself.
+        retire: Starts others for what comes next, where workers grow; ``None``: they may.
         limit_s: A worker that a piece has waited for so long is lost [s]; ``None``: never.
         loses: Whether a rollout that cannot be simulated is kept as far as it came, in place of a
             fault; see :mod:`pemviz.sampling.rollouts.losing`.
         lost: How many workers were lost so far.
+        retired: How often others were started for workers that had grown.
     """
 
     submit: Callable[..., Future[Any]]
     workers: int
     renew: Callable[[], None] | None = None
+    retire: Callable[[], None] | None = None
     limit_s: float | None = None
     loses: bool = False
     lost: int = field(default=0, init=False)
+    retired: int = field(default=0, init=False)
     _is_new: bool = field(default=True, init=False)
     _took_s: deque[float] = field(
         default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
     )
+    _held: dict[int, list[int]] = field(default_factory=dict[int, list[int]], init=False)
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -122,12 +147,12 @@ class PooledRunner:
         """What a rollout takes: the median of late pieces, as first ones begin with imports."""
         return statistics.median(self._took_s) if self._took_s else 0.0
 
-    def _wait_for_half(self, futures: Sequence[Future[Timed]]) -> None:
+    def _wait_for_half(self, futures: Sequence[Future[Simulated]]) -> None:
         """For half of single rollouts, which may differ; the others go on."""
         with contextlib.suppress(TimeoutError):
             for future in as_completed(futures, timeout=self.limit_s):
                 if future.exception() is None:
-                    self._took_s.append(future.result()[1])
+                    self._took_s.append(future.result().took_s)
                 if 2 * len(self._took_s) >= len(futures):
                     break
 
@@ -139,7 +164,7 @@ class PooledRunner:
             wait([self.submit(_nothing, simulator, pem)], timeout=START_S)
         self._is_new = False
 
-    def answer(self, future: Future[Timed]) -> RolloutBatch:
+    def answer(self, future: Future[Simulated]) -> RolloutBatch:
         """What a worker returns, once it does.
 
         Raises:
@@ -152,7 +177,7 @@ class PooledRunner:
             why = f"one rollout takes longer than step_time_limit_s = {self.limit_s:g}"
             self._replace(LostError(why), what="worker process stalls")
         try:
-            rollouts, took_s = future.result()
+            simulated = future.result()
         except BrokenExecutor as error:
             what, why = DIED.split(": ", 1)
             self._replace(LostError(why), what=what, cause=error)
@@ -165,10 +190,23 @@ class PooledRunner:
                 raise
             self.lost += 1  # the cluster has others
             raise LostError("killed, or the machine is out of memory") from error
-        if self.loses:
-            rollouts = marked(rollouts)
-        self._took_s.append(took_s / rollouts.count)
-        return rollouts
+        self._took_s.append(simulated.took_s / simulated.rollouts.count)
+        self._held.setdefault(simulated.process, []).append(simulated.resident_bytes)
+        return marked(simulated.rollouts) if self.loses else simulated.rollouts
+
+    def retire_if_grown(self) -> bool:
+        """Have other workers where one holds much more than after its first piece; whether so."""
+        most = min(GROWN_BYTES, GROWN_SHARE * machine_bytes() / self.workers)
+        grown = any(
+            len(held) >= LEAST_PIECES and held[-1] - held[0] > most for held in self._held.values()
+        )
+        if self.retire is None or not grown:
+            return False
+        self.retire()
+        self._held.clear()
+        self.retired += 1
+        self._is_new = True
+        return True
 
     def _replace(
         self, lost: LostError, *, what: str, cause: BaseException | None = None
@@ -192,13 +230,13 @@ class _Piece:
         self.hand_in()
 
     def hand_in(self) -> None:
-        self.future: Future[Timed] = self._submit(self.task)
+        self.future: Future[Simulated] = self._submit(self.task)
 
-    def _submit(self, task: BatchTask) -> Future[Timed]:
+    def _submit(self, task: BatchTask) -> Future[Simulated]:
         try:
-            return self.runner.submit(_timed, self._simulator, self._pem, task)
+            return self.runner.submit(_simulated, self._simulator, self._pem, task)
         except BrokenExecutor as error:  # a worker died before
-            lost: Future[Timed] = Future()
+            lost: Future[Simulated] = Future()
             lost.set_exception(error)
             return lost
 
@@ -304,6 +342,10 @@ def _joined(ahead: Sequence[Sequence[_Piece]]) -> RolloutBatch:
                 for other in itertools.chain.from_iterable(ahead) if ended else ():
                     if other is not piece:
                         other.hand_in_if_lost()
+            if runner.retire_if_grown():
+                for other in itertools.chain.from_iterable(ahead):
+                    if other.future.cancel():  # no worker is at it
+                        other.hand_in()
     return RolloutBatch.concatenate(parts)
 
 
@@ -311,7 +353,9 @@ def _nothing(simulator: Simulator, pem: Pem) -> None:
     """All that comes before a batch in a worker."""
 
 
-def _timed(simulator: Simulator, pem: Pem, task: BatchTask) -> Timed:
+def _simulated(simulator: Simulator, pem: Pem, task: BatchTask) -> Simulated:
     """A batch's rollouts, in a worker."""
     began = time.perf_counter()
-    return by_numpy(simulator, pem, task), time.perf_counter() - began
+    rollouts = by_numpy(simulator, pem, task)
+    took_s = time.perf_counter() - began
+    return Simulated(rollouts, took_s, process=os.getpid(), resident_bytes=resident_bytes())
