@@ -87,7 +87,7 @@ def _tell_of(runner: PooledRunner) -> None:
     """Say on stderr which workers did not stay."""
     if runner.retired:
         times = "once" if runner.retired == 1 else f"{runner.retired} times"
-        why = "since one held much more memory than at first: the simulator may keep what it is past"
+        why = "as memory grew that the simulator does not give back"
         print(f"worker processes were replaced {times}, {why}", file=sys.stderr)
     if runner.lost:
         words = "what they were at was simulated again, and is as it would have been"

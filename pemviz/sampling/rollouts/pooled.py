@@ -36,7 +36,7 @@ START_S = 120.0
 """Within which a worker process is there."""
 
 GROWN_BYTES, GROWN_SHARE = 2**30, 0.25
-"""What a worker may hold more than after its first piece, and all of them of the machine's memory."""
+"""What a worker may grow by after its first piece, and all of them as a share of the machine's."""
 LEAST_PIECES = 20
 """That a worker does, however it grows: starting one takes as long as some."""
 
