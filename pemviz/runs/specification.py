@@ -42,6 +42,10 @@ def build_problem(
         )
 
     whole = scored(formula)
+    formulas: dict[str | None, stl.Formula] = {None: formula}
+    for rule in config.rules:
+        formulas[rule.name] = _parsed(rule.formula, simulator, name=f"rules.{rule.name}")
+    conjuncts = {name: stl.conjuncts(one) for name, one in formulas.items()}
     return Problem(
         simulator=simulator,
         pem=pem,
@@ -55,10 +59,8 @@ def build_problem(
         turns=turns,
         thins=config.keep == "violations",
         lost=config.lost,
-        rules={
-            rule.name: scored(_parsed(rule.formula, simulator, name=f"rules.{rule.name}"))
-            for rule in config.rules
-        },
+        rules={name: scored(one) for name, one in formulas.items() if name is not None},
+        conjuncts={n: [scored(one) for one in some] for n, some in conjuncts.items() if some[1:]},
     )
 
 

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypedDict, TypeVar
 
@@ -116,6 +116,9 @@ class Problem:
             held, beside what is learned from.
         rules: Robustness and verdict of each rule by name, where the specification is that
             several are kept; they are scored beside it.
+        conjuncts: Of the specification (``None``) and of each rule that is a conjunction, see
+            :func:`pemviz.stl.conjuncts`: to violate it is to violate one of them. Methods may learn
+            about each; nobody is told of them.
         lost: What a rollout counts as that could not be simulated to its end.
     """
 
@@ -134,6 +137,9 @@ class Problem:
     turns: int = 1
     thins: bool = False
     rules: Mapping[str, ScoredRule] = field(default_factory=dict[str, ScoredRule])
+    conjuncts: Mapping[str | None, Sequence[ScoredRule]] = field(
+        default_factory=dict[str | None, Sequence[ScoredRule]]
+    )
     lost: LostName = "end"
 
     def without_rules(self) -> "Problem":
@@ -248,7 +254,7 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:
     """Robustness and verdict of rollouts, and those of each rule."""
-    robustness, violated = _scores(problem, rollouts, lost=problem.lost)
+    robustness, violated = judged(problem, rollouts, lost=problem.lost)
     return ScoredRollouts(
         rollouts=rollouts,
         robustness=robustness,
@@ -266,7 +272,7 @@ class RuleScores(TypedDict):
 
 def rule_scores(problem: Problem, rollouts: RolloutBatch) -> RuleScores:
     """Robustness and verdict of rollouts under each rule."""
-    scores = {n: _scores(rule, rollouts, lost=problem.lost) for n, rule in problem.rules.items()}
+    scores = {n: judged(rule, rollouts, lost=problem.lost) for n, rule in problem.rules.items()}
     return {
         "rule_robustness": {name: robustness for name, (robustness, _) in scores.items()},
         "broken": {name: broken for name, (_, broken) in scores.items()},
@@ -287,9 +293,10 @@ def ranked(problem: Problem, signals: Signals) -> FloatArray:
     return np.where(violated, np.minimum(robustness, just_below), np.maximum(robustness, 0.0))
 
 
-def _scores(
+def judged(
     by: Problem | ScoredRule, rollouts: RolloutBatch, *, lost: LostName
 ) -> tuple[FloatArray, BoolArray]:
+    """Robustness and verdict of rollouts, ``[N]`` each; ``lost`` says what those are that broke."""
     robustness = by.robustness(rollouts.signals)
     violated = robustness < 0.0 if by.violated is None else by.violated(rollouts.signals)
     row = np.flatnonzero(lost_rows(rollouts))

@@ -2,6 +2,7 @@
 
 from pemviz.stl.agm import Agm
 from pemviz.stl.classical import Classical
+from pemviz.stl.conjuncts import conjuncts
 from pemviz.stl.evaluation import robustness, robustness_trace
 from pemviz.stl.formulas import Formula, FormulaError
 from pemviz.stl.metric import Metric
@@ -17,6 +18,7 @@ __all__ = [
     "FormulaMonitor",
     "Metric",
     "SmoothCumulative",
+    "conjuncts",
     "parse",
     "robustness",
     "robustness_trace",

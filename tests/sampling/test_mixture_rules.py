@@ -123,11 +123,11 @@ def test_rules_that_the_same_rollouts_break_are_learned_once(drawn):
         broken={**pool.broken, "again": pool.broken["touch"]},
         rule_robustness={**pool.rule_robustness, "again": pool.robustness},
     )
-    assert [one.rule for one in twice.each_rule()] == list(RULES)
+    assert [one.rule for one in twice.each_target()] == list(RULES)
     never = np.zeros(pool.count, dtype=np.bool_)
     unbroken = replace(twice, broken={**pool.broken, "again": never, "more": never, "touch": never})
     unbroken = replace(unbroken, rule_robustness={**twice.rule_robustness, "more": pool.robustness})
-    assert [one.rule for one in unbroken.each_rule()] == [*RULES, "again", "more"]
+    assert [one.rule for one in unbroken.each_target()] == [*RULES, "again", "more"]
 
 
 def test_one_rule_is_not_several():

@@ -20,6 +20,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import Monomials, outcome_ratios, shift, some_at_once
+from pemviz.sampling.mixture.failure_modes import shares_of_rollouts
 from pemviz.types import violated_rule
 
 EXPLORATION, PLAIN = 0, 1
@@ -225,6 +226,22 @@ class Judged:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What a formula says of M rollouts.
+
+    Attributes:
+        robustness: ``[M]``.
+        violated: ``[M]``.
+    """
+
+    robustness: FloatArray
+    violated: BoolArray
+
+
+Verdicts = Mapping[Rule, tuple[Verdict, ...]]
+
+
+@dataclass(frozen=True)
 class Pool:
     """Everything drawn so far: M rollouts of N, of which the others hold.
 
@@ -241,6 +258,9 @@ class Pool:
         rule_robustness: ``[M]`` of each rule by name, where there are rules.
         broken: ``[M]`` likewise.
         rule_log_ratio: ``log_ratio`` under each, where there are several.
+        conjuncts: Verdicts of the conjuncts of each rule that has some, of the rollouts that
+            proposals are fitted to.
+        share: Of the rollouts, for proposals that are to violate what is at hand, beside others.
         latents: Of all rollouts but the final ones, where there are any.
         rule: The one at hand.
         failing: What is kept of a large final batch's violations, part by part; rollouts of it
@@ -260,6 +280,8 @@ class Pool:
     rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
     rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    conjuncts: Verdicts = field(default_factory=dict[Rule, tuple[Verdict, ...]])
+    share: float = 1.0
     latents: LatentDecisions | None = None
     rule: Rule = None
     failing: tuple[FailingWeights, ...] = ()
@@ -317,16 +339,36 @@ class Pool:
             rule=rule,
         )
 
-    def each_rule(self) -> "Sequence[Pool]":
-        """The pool under every rule; itself where there is but the specification.
+    def each_target(self) -> "Sequence[Pool]":
+        """The pool under every rule's conjuncts; itself where there is but the specification.
 
-        Rules that the same rollouts break, some of them, are learned as one.
+        Those that the same rollouts violate, some of them, are learned as one.
         """
         distinct: list[str] = []
         for rule, broken in self.broken.items():
             if not any(broken.any() and np.array_equal(broken, self.broken[o]) for o in distinct):
                 distinct.append(rule)
-        return [self.under_rule(rule) for rule in distinct] or [self]
+        pools = [self.under_rule(rule) for rule in distinct] or [self]
+        return [part for one in pools for part in one._each_conjunct()]
+
+    def _each_conjunct(self) -> "Sequence[Pool]":
+        """Under each conjunct of the rule at hand, with shares by what it has of the estimate."""
+        parts: list[Pool] = []
+        for verdict in self.conjuncts.get(self.rule, ()):
+            violated = verdict.violated & self.violated
+            if violated.any() and any(np.array_equal(violated, one.violated) for one in parts):
+                continue
+            parts.append(replace(self, robustness=verdict.robustness, violated=violated))
+        if len(parts) < 2:
+            return [self]
+        weight = np.exp(self.log_weight - np.max(self.log_weight[self.violated], initial=-np.inf))
+        share = np.array([weight[one.violated].sum() for one in parts])
+        if not share.any():
+            return [replace(one, share=self.share / len(parts)) for one in parts]
+        shares = shares_of_rollouts(share / share.sum())
+        return [
+            replace(one, share=self.share * own) for one, own in zip(parts, shares, strict=True)
+        ]
 
     @cached_property
     def log_weight(self) -> FloatArray:

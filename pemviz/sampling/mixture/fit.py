@@ -1,9 +1,10 @@
 """Which rollouts a stage learns from, how much each counts, and the proposals fitted to them.
 
-Of each rule there are proposals fitted to its violations. Beside them are failure modes that these
-would hardly draw. Such a mode looks improbable at first, because the broad proposals that met it
-missed more often than needed: it is learned about on its own before the weights pass judgement on
-it.
+Of each rule there are proposals fitted to its violations; where it is a conjunction
+(:func:`pemviz.stl.conjuncts`), of each conjunct, as a rare one's would count for nothing among all.
+Beside them are failure modes that these would hardly draw. Such a mode looks improbable at first,
+because the broad proposals that met it missed more often than needed: it is learned about on its
+own before the weights pass judgement on it.
 """
 
 from collections.abc import Sequence
@@ -167,8 +168,9 @@ def next_proposals(
 ) -> tuple[Fit, ...]:
     """With their shares of the rollouts that do not explore, the main proposals first.
 
-    Rules that nothing has broken yet, beside others that something has, are searched for like
-    hidden failure modes: a share of the rollouts goes towards them, and none of the final batch.
+    Rules and conjuncts that nothing has broken yet, beside others that something has, are searched
+    for like hidden failure modes: a share of the rollouts goes towards them, and none of the final
+    batch.
 
     Args:
         pool: What is learned from.
@@ -178,10 +180,11 @@ def next_proposals(
         explores: Whether the stage is one of the first.
         for_final: Whether the final batch is sampled from them.
     """
-    pools = pool.each_rule()
+    pools = pool.each_target()
     met = [one for one in pools if one.violated.any()] or pools
+    total = sum(one.share for one in met)
     main = [
-        replace(fit, share=fit.share / len(met))
+        replace(fit, share=fit.share * one.share / total)
         for one in met
         for fit in fits_to_failures(one, basis, settings)
     ]

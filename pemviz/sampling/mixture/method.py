@@ -128,6 +128,8 @@ class MixtureSampling:
             turns=problem.turns,
             starts=latent_counts(problem.simulator).start,
             rules=stages.several_rules(problem),
+            conjuncts=problem.conjuncts,
+            lost=problem.lost,
             many=(self.learning_stages + 1) * self.rollouts > self.largest_part,
             before=plain,
             steps=problem.simulator.states - 1,
@@ -272,6 +274,8 @@ class MixtureSampling:
             starts=state.starts,
             rules=state.rules,
             many=state.many,
+            conjuncts=state.conjuncts,
+            lost=state.lost,
         )
 
     def under_rule(self, state: MixtureState, rule: str) -> MixtureState:

@@ -2,11 +2,12 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, row_sums
+from pemviz.config import LostName
 from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.exploration import ExplorationFamily, LatentFamily
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, even_logit
@@ -19,9 +20,11 @@ from pemviz.sampling.mixture.balance_heuristic import (
     Planned,
     Pool,
     Rule,
+    Verdict,
 )
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.stages import Joining
+from pemviz.sampling.problem import ScoredRule, judged
 from pemviz.types import VIOLATED, RolloutBatch, ScoredRollouts, StateBatch
 
 DEGREE, LOWER_DEGREE = 3, 2
@@ -46,6 +49,8 @@ class Terms:
         starts: Latents at the start that proposals move.
         rules: Names, where there are several.
         many: Whether the rollouts to learn from are so many that their monomials are not kept.
+        conjuncts: Of each rule that has some.
+        lost: What a rollout counts as that could not be simulated to its end.
     """
 
     features: StateFeatures
@@ -55,6 +60,10 @@ class Terms:
     starts: int = 0
     rules: tuple[str, ...] = ()
     many: bool = False
+    conjuncts: Mapping[Rule, Sequence[ScoredRule]] = field(
+        default_factory=dict[Rule, Sequence[ScoredRule]]
+    )
+    lost: LostName = "end"
 
     @property
     def under(self) -> tuple[Rule, ...]:
@@ -98,6 +107,8 @@ def extended(
         planned: Of a large final batch, of which no more is kept than an average needs: weights of
             those that violate.
     """
+    if last:
+        terms = replace(terms, conjuncts={})
     moves = [each for each, _ in new]
     known = pool.proposals if pool else (error_model(joining.scored.rollouts, terms),)
     proposals = (*known, *moves)
@@ -174,6 +185,10 @@ def pool_of(
         rule_robustness=scored.rule_robustness,
         broken=scored.broken,
         rule_log_ratio=dict(zip(terms.rules, ratios[1:], strict=True)),
+        conjuncts={
+            rule: tuple(Verdict(*judged(one, rollouts, lost=terms.lost)) for one in some)
+            for rule, some in terms.conjuncts.items()
+        },
         latents=latents,
     )
 
@@ -300,8 +315,12 @@ def _of_fitted(
 
 def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
     """The rollouts of both."""
-    latents, decisions = pool.latents, pool.decisions
+    latents, decisions, conjuncts = pool.latents, pool.decisions, pool.conjuncts
     if not last:
+        conjuncts = {
+            rule: tuple(map(_both, known, fresh.conjuncts[rule]))
+            for rule, known in conjuncts.items()
+        }
         if latents is not None and fresh.latents is not None:
             latents = latents.joined(fresh.latents)
         moved = replace(fresh.decisions, rollout=fresh.decisions.rollout + pool.count)
@@ -325,6 +344,7 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         rule_robustness=_appended(pool.rule_robustness, fresh.rule_robustness),
         broken=_appended(pool.broken, fresh.broken),
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
+        conjuncts=conjuncts,
         latents=latents,
         failing=(*pool.failing, *fresh.failing),
         row=row,
@@ -334,3 +354,10 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
 
 def _appended(before: Mapping[str, AnyArray], after: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: np.concatenate([values, after[name]]) for name, values in before.items()}
+
+
+def _both(before: Verdict, after: Verdict) -> Verdict:
+    return Verdict(
+        robustness=np.concatenate([before.robustness, after.robustness]),
+        violated=np.concatenate([before.violated, after.violated]),
+    )

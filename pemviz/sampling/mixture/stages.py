@@ -23,6 +23,7 @@ import numpy as np
 from scipy.special import expit
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from pemviz.config import LostName
 from pemviz.faults import counted_from
 from pemviz.proposals import latent_moves
 from pemviz.proposals import offset_logistic as logistic
@@ -39,7 +40,7 @@ from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, 
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
-from pemviz.sampling.problem import FinishedStage, Problem, sample
+from pemviz.sampling.problem import FinishedStage, Problem, ScoredRule, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.state.composed import with_component
@@ -235,6 +236,8 @@ class MixtureState:
         turns: Outcomes of a step of the scenario.
         starts: Random values at the start of a rollout.
         rules: Names, where there are several.
+        conjuncts: Of the specification and of each rule, where they have some.
+        lost: What a rollout counts as that could not be simulated to its end.
         many: Whether the learning stages have more rollouts than are sampled at once.
         before: Plain rollouts from before the first stage.
         plain: What plain rollouts have told so far, and how many the next stage has.
@@ -255,6 +258,10 @@ class MixtureState:
     turns: int = 1
     starts: int = 0
     rules: tuple[str, ...] = ()
+    conjuncts: Mapping[str | None, Sequence[ScoredRule]] = field(
+        default_factory=dict[str | None, Sequence[ScoredRule]]
+    )
+    lost: LostName = "end"
     many: bool = False
     before: PlainRollouts | None = None
     plain: PlainViolations = field(default_factory=PlainViolations)
