@@ -2,8 +2,9 @@
 
 The expected shortfall (conditional value at risk) by its form as an expectation (Rockafellar &
 Uryasev, 2000, theorem 1): with ``r`` the quantile at level ``a``, it is
-``r + E[min(rho - r, 0)] / a``. Both are averages over rollouts with importance weights, so that
-each has a standard error; weights are not normalised by their sum, whose expectation is 1.
+``r + E[min(rho - r, 0)] / a``. Both are averages over rollouts with importance weights, normalised
+by their sum: what all weights together are short of N, as rollouts of rare proposals are missing,
+would be taken for robustness otherwise. The standard error is that of a ratio of two averages.
 """
 
 from dataclasses import dataclass, replace
@@ -61,21 +62,23 @@ def robustness_tail(robustness: FloatArray, log_weight: FloatArray) -> Robustnes
         return None
     if abs(float(np.mean(weight)) - 1.0) > FAR_FROM_ONE:
         return None
-    expected, error = _mean(weight * robustness)
+    expected, error = _mean(robustness, weight)
     found = RobustnessTail(rollouts=weight.size, expected=expected, expected_std_error=error)
     order = np.argsort(robustness, kind="stable")
-    reached = np.cumsum(weight[order]) / weight.size
+    reached = np.cumsum(weight[order]) / weight.sum()
     last = int(np.searchsorted(reached, WORST))
     worst = order[: last + 1]
     if last == weight.size or effective_sample_size(log_weight[worst]) < FEWEST_OF_WORST:
         return found
     quantile = float(robustness[order[last]])
-    below, error = _mean(weight * np.minimum(robustness - quantile, 0.0))
+    below, error = _mean(np.minimum(robustness - quantile, 0.0), weight)
     return replace(
         found, worst=quantile + below / WORST, worst_std_error=error / WORST, quantile=quantile
     )
 
 
-def _mean(values: FloatArray) -> tuple[float, float]:
-    """Mean and its standard error."""
-    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(values.size))
+def _mean(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Weighted mean of ``values [N]`` and its standard error."""
+    mean = float(np.average(values, weights=weight))
+    apart = weight * (values - mean) / np.mean(weight)
+    return mean, float(np.std(apart, ddof=1) / np.sqrt(values.size))

@@ -48,7 +48,7 @@ def _learning(run: RunData) -> str:
         title = "Particles that violate at a run's end"
         plots.append(drawn(failure_chart(stages, title=title, each="run")))
     elif several:
-        unit = "" if run.config.metric == "agm" else "m"
+        unit = run.robustness_unit
         plots += [drawn(threshold_chart(stages, unit=unit)), drawn(failure_chart(stages))]
         seen = any(stage.ess is not None for stage in stages)
         plots.append(drawn(ess_chart(stages), caption="" if seen else "No violation yet."))

@@ -17,7 +17,7 @@ from pemviz.latents import Latents
 from pemviz.panel.rollout_tables import checked_rows, latent_names
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import latents_of, log_weights
-from pemviz.runs.specification import named_signals
+from pemviz.runs.specification import named_signals, robustness_unit
 from pemviz.sampling.description import MethodDescription
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.braking.scenario import GAP, scenario_signals
@@ -205,6 +205,11 @@ class RunData:
         if self.own is None:
             return next(signal for signal in self.simulator.signals if signal.name == GAP)
         return named_signals(self.config, self.own.signals)[0]
+
+    @property
+    def robustness_unit(self) -> str:
+        """Of the metric that ranked the rollouts; empty if it has none."""
+        return robustness_unit(self.config, self.simulator.signals)
 
     @property
     def distance(self) -> Signal | None:

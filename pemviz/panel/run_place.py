@@ -104,7 +104,7 @@ class RunPlace:
             "rule": opens_on(run) if rules else ALL_RULES,
             "metrics": METRIC_NAMES,
             "metric": run.config.metric,
-            "metric_unit": "" if run.config.metric == "agm" else "m",
+            "metric_unit": run.robustness_unit,
             "kept": run.kept,
             "simulated": run.simulated,
             "running": run.running,

@@ -119,7 +119,7 @@ def weight_chart(run: RunData, index: IntArray) -> PlaneChart:
     bottom, top = _ends(np.maximum(log10_weight, FARTHEST), least=1.0)
     return PlaneChart(
         title="Weight over robustness",
-        x=Axis(low, high, with_unit(f"robustness, {metric}", "" if metric == "agm" else "m")),
+        x=Axis(low, high, with_unit(f"robustness, {metric}", run.robustness_unit)),
         y=Axis(bottom, top, "log10 of the weight p / q"),
         marks=(
             Rule(0.0, "0", VERMILLION),

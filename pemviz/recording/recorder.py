@@ -28,7 +28,7 @@ from pemviz.reports.charts import uncertainty_chart
 from pemviz.runs.drawn_rollout import WHOLE, slots_of
 from pemviz.runs.events import Event, RepetitionDone, RunDone, RunFailed, RunStarted, StageDone
 from pemviz.runs.result import RunResult
-from pemviz.runs.specification import named_signals
+from pemviz.runs.specification import named_signals, robustness_unit
 from pemviz.simulators.drawn_scene import drawn_scene
 from pemviz.types import StageResult
 
@@ -123,9 +123,7 @@ class _Writing:
         self._tracks: tuple[worst.Track, ...] = ()
         self._drawn_repetitions = 0
         named = named_signals(config, started.signals)
-        units = {signal.unit for signal in named}
-        one_unit = config.metric != "agm" and len(units) == 1
-        self._robustness_unit = units.pop() if one_unit else ""
+        self._robustness_unit = robustness_unit(config, started.signals)
         self._slots, scene = slots_of(simulator), drawn_scene(simulator)
         self._per_stage = quota(
             rollouts=started.planned_rollouts // config.repetitions,

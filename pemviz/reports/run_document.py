@@ -373,7 +373,8 @@ def _robustness(result: RunResult) -> Section:
             "(--method monte-carlo) do."
         )
         return Section("robustness", title, (), (_quiet(words),))
-    unit = "" if result.config.metric == "agm" else " m"
+    # of a simulator of the user's own a result does not keep what its signals are measured in
+    unit = "" if result.config.metric == "agm" or result.simulator is not None else " m"
     expected = f"{found.expected:.4g}{unit} +- {found.expected_std_error:.1g}"
     worst, quantile = "not known: too few were sampled", "not known"
     if found.worst is not None and found.worst_std_error is not None:

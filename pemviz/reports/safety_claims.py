@@ -26,7 +26,8 @@ class Claim:
     """A bound that rests on a source of uncertainty and takes something for granted.
 
     Attributes:
-        bound: The failure probability is below; ``None`` where it is not known.
+        bound: The failure probability is below; ``None`` where it is not known, or the rollouts'
+            diagnostics undermine it.
         verdict: Whether the wanted claim follows; ``None`` where none was named.
         note: What speaks against the bound, or what would be needed to have one.
     """
@@ -50,18 +51,19 @@ def claims(result: RunResult, *, below: float | None) -> list[Claim]:
     for source in uncertainty_budget(result):
         if source.kind == "reference":
             continue
-        of_rollouts = source.kind in ("sampling", "refits", "model-classes")
+        of_rollouts = source.kind in ("sampling", "lost", "refits", "model-classes")
         doubts = "; ".join(run_interval_caveats(result)) if of_rollouts else ""
+        bound = None if doubts else source.high  # what is no interval bounds nothing
         verdict: Verdict | None = None
-        if below is not None and (source.high is None or doubts):
+        if below is not None and bound is None:
             verdict = "not known"
-        elif below is not None and source.high is not None:
-            verdict = "shown" if source.high <= below else "not shown"
-        note = doubts or (source.narrowed_by if source.high is None else "")
+        elif below is not None and bound is not None:
+            verdict = "shown" if bound <= below else "not shown"
+        note = doubts or (source.narrowed_by if bound is None else "")
         granted = GRANTED[source.kind].format(pem=result.pem.name)
         if result.is_of_detector_itself:
             granted = "rendered images and the simulation are right"
-        found.append(Claim(source.kind, granted, source.high, source.name, verdict, note))
+        found.append(Claim(source.kind, granted, bound, source.name, verdict, note))
     return found
 
 
@@ -73,7 +75,8 @@ def claim_sentence(result: RunResult, *, below: float | None) -> str:
     if below is None:
         highest = [claim for claim in found if claim.bound is not None]
         if not highest:
-            return "No upper bound is known."
+            doubts = "; ".join(dict.fromkeys(claim.note for claim in found if claim.note))
+            return f"No upper bound is known: {doubts}." if doubts else "No upper bound is known."
         last = max(highest, key=lambda claim: claim.bound or 0.0)
         return (
             "No failure probability was named to be claimed. What holds under the least that is "

@@ -189,8 +189,12 @@ def own_back_end(
         ConfigError: One of them does not keep to the protocol, or they differ in their steps,
             signals, slots or tracker, or there are latents, which no twin can have.
     """
-    if isinstance(simulator, EpisodicSimulator) and not isinstance(simulator, type):
+    # a batch of rollouts may have a field of any name, reset among them
+    if isinstance(simulator, EpisodicSimulator) and not (
+        isinstance(simulator, type) or hasattr(simulator, "initial")
+    ):
         simulator = side_by_side(simulator)
+    simulator = cast(Simulator | SlotSimulator | LatentSimulator, simulator)
     given: Any = simulator
     loop = detecting(given)
     if loop is not None:

@@ -95,6 +95,12 @@ def named_signals(config: ExperimentConfig, signals: Sequence[Signal]) -> tuple[
     return tuple(by_name[n] for n in dict.fromkeys(names) if n in by_name) or (signals[0],)
 
 
+def robustness_unit(config: ExperimentConfig, signals: Sequence[Signal]) -> str:
+    """Of the metric that ranks rollouts; empty where it has none, or signals differ in theirs."""
+    units = {signal.unit for signal in named_signals(config, signals)}
+    return units.pop() if config.metric != "agm" and len(units) == 1 else ""
+
+
 def _parsed(text: str, simulator: Simulator, *, name: str) -> stl.Formula:
     try:
         formula = stl.parse(text, signals=[s.name for s in declared_signals(simulator)])

@@ -151,9 +151,9 @@ def begun(
     beat()
     try:
         if latents == 0:
-            return _states(scenario, scenario.initial(count=count))
+            return _states(scenario, scenario.initial(count=count), count)
         given = np.zeros((count, latents)) if start is None else start
-        return _states(scenario, scenario.initial(count=count, start=given))
+        return _states(scenario, scenario.initial(count=count, start=given), count)
     except BaseException as error:  # theirs may raise anything
         what = f"simulator {simulator.name}: initial"
         blame(error, what, step=0, rollouts=range(count), breaks=True)
@@ -178,9 +178,9 @@ def stepped(
 
     def step() -> StateBatch:
         if latents == 0:
-            return _states(scenario, scenario.step(states, detected))
+            return _states(scenario, scenario.step(states, detected), len(detected), states)
         given = np.zeros((len(detected), latents)) if noise is None else noise
-        return _states(scenario, scenario.step(states, detected, given))
+        return _states(scenario, scenario.step(states, detected, given), len(detected), states)
 
     return _evaluated(simulator, "step", states, step)
 
@@ -200,21 +200,31 @@ def salient_of(simulator: Simulator, states: StateBatch) -> FloatArray:
     return _evaluated(simulator, "salient", states, lambda: simulator.salient(states.signals))
 
 
-def _states(simulator: Any, given: Any) -> StateBatch:
-    if isinstance(given, StateBatch):
-        return given
-    what = f"simulator {simulator.name} gives a {type(given).__name__}"
-    raise SimulationError(what, why="must be a pemviz.StateBatch")
+def _states(simulator: Any, given: Any, count: int, before: StateBatch | None = None) -> StateBatch:
+    if not isinstance(given, StateBatch):
+        what = f"simulator {simulator.name} gives a {type(given).__name__}"
+        raise SimulationError(what, why="must be a pemviz.StateBatch")
+    for name, values in given.signals.items():
+        if np.shape(values)[:1] != (count,):
+            what = f"simulator {simulator.name}: {name} has shape {np.shape(values)}"
+            step = None if before is None else _step(simulator, before, further=1)
+            raise SimulationError(what, why=f"must be ({count},)", step=step)
+    return given
+
+
+def _step(simulator: Any, states: StateBatch, *, further: int = 0) -> int | None:
+    """The scenario's own step; states count turns where it takes turns."""
+    turns, part = 1, simulator
+    while (inner := getattr(part, "scenario", None)) is not None:
+        turns, part = getattr(part, "turns", turns), inner
+    return (int(states.step) + further) // turns if np.ndim(states.step) == 0 else None
 
 
 def _evaluated(simulator: Any, what: str, states: StateBatch, call: Callable[[], Value]) -> Value:
     try:
         return call()
     except BaseException as error:  # as above
-        turns, part = 1, simulator  # states count turns where the scenario takes turns
-        while (inner := getattr(part, "scenario", None)) is not None:
-            turns, part = getattr(part, "turns", turns), inner
-        step = int(states.step) // turns if np.ndim(states.step) == 0 else None
+        step = _step(simulator, states)
         rollouts = range(len(next(iter(states.signals.values()))))
         what = f"simulator {simulator.name}: {what}"
         blame(error, what, step=step, rollouts=rollouts, breaks=True)

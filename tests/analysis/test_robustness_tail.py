@@ -65,6 +65,15 @@ def test_rollouts_that_were_drawn_where_violations_are_tell_nothing():
     assert robustness_tail(np.append(values, -np.inf), np.zeros(4001)) is None
 
 
+def test_what_weights_are_short_of_their_sum_is_no_robustness():
+    """They lack a twentieth of what has no other robustness: the mean is it, and known."""
+    log_weight = np.log(np.random.default_rng(4).uniform(0.9, 1.0, 4000))
+    found = robustness_tail(np.full(4000, 1.5), log_weight)
+    assert found.expected == pytest.approx(1.5, rel=1e-12)
+    assert found.expected_std_error < 1e-12
+    assert found.worst == pytest.approx(1.5, rel=1e-12)
+
+
 def test_too_few_of_the_worst_tell_the_mean_alone():
     values, log_weight = weighted(np.random.default_rng(3), 400, shift=0.0)
     found = robustness_tail(values, log_weight)

@@ -83,6 +83,17 @@ def test_an_unreliable_estimate_shows_nothing():
     assert verdicts(sound(estimate(method="adaptive")), below=0.5)["sampling"] == "not known"
 
 
+def test_no_bound_is_claimed_of_rollouts_that_the_page_says_not_to_quote():
+    doubted = warned("one rollout carries 51% of the weight", kind="large-weight", value=0.51)
+    one = sound(estimate(method="mixture", diagnostics=(doubted,)), data_bound=None)
+    assert [claim.bound for claim in claims(one, below=None)] == [None] * len(
+        claims(one, below=None)
+    )
+    sentence = claim_sentence(one, below=None)
+    assert sentence.startswith("No upper bound is known: one rollout carries 51%")
+    assert not re.search(r"probability below [0-9]", page_of(one))
+
+
 def test_without_a_claim_the_page_says_what_holds_under_the_least():
     sentence = claim_sentence(sound(model_classes=MODEL_CLASSES), below=None)
     assert "below 0.0042, if of the model no more is granted" in sentence

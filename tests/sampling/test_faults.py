@@ -20,8 +20,10 @@ from pemviz.sampling.rollouts.pooled import PooledRunner
 from pemviz.sampling.rollouts.runners import by_numpy
 from pemviz.sampling.splitting.run import split as splitting
 from pemviz.sampling.subset.run import SubsetSimulation
+from pemviz.sampling.zero_variance.method import with_absorbing_violation
 from pemviz.simulators.episodic import side_by_side
 from pemviz.simulators.slots import UnrolledSimulator
+from pemviz.stl import FormulaMonitor, parse
 from tests.slot_toys import TwoCars
 from tests.toy import FunctionPem, MissCounter, constant_pem, splitting_runs, subset_runs
 
@@ -69,6 +71,19 @@ def test_a_value_that_is_no_number_is_told_with_rollout_and_step(value):
     words = str(caught.value)
     assert "simulator miss-counter: gap is" in words
     assert "rollout 2, step 6" in words
+
+
+def test_rows_for_fewer_rollouts_are_told_before_a_monitor_meets_them():
+    """Which watches for violations while rollouts unfold."""
+    monitor = FormulaMonitor(parse("always[0,11] (gap >= 0)"))
+    problem = with_absorbing_violation(
+        problem_of(lambda gap: gap[:-1], batch_rollouts=4, monitor=monitor)
+    )
+    words = (
+        r"simulator miss-counter: gap has shape \(3,\) in rollouts 0 to 3, step 6: must be \(4,\)"
+    )
+    with pytest.raises(SimulationError, match=words):
+        draw(problem, count=10)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e101])

@@ -273,6 +273,13 @@ def test_a_twin_of_ones_own_gives_the_reference():
     assert "lead car" not in " ".join(result.assumptions)
 
 
+def test_a_batch_may_have_a_field_that_is_called_reset():
+    """What is reset and stepped, one at a time, has no ``initial``."""
+    toy = Bent(reset=False)
+    experiment = pemviz.build_experiment(CONFIG, simulator=toy, pem=ToyPem())
+    assert experiment.problem.simulator is toy
+
+
 class RenamedGap(Bent):
     """The toy that calls its gap a distance."""
 

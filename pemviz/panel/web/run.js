@@ -247,7 +247,7 @@ function Ranking({ run, choice, rows, rank, pick, set, rollout, start }) {
       ${ruled && html`<label>rule ${select("rule", same(run.rules))}</label>`}</div>
     ${rows && "of" in rows && html`<p class="quiet">Scored so far: ${rows.scored.toLocaleString("en")} of ${rows.of.toLocaleString("en")} rollouts.</p>`}
     <div class="scroll"><table aria-label="Ranking"><thead><tr>
-      <th class="n">rank</th><th class="n">robustness${run.metric_unit ? " [m]" : ""}</th><th>${ruled ? "breaks" : "violates"}</th>
+      <th class="n">rank</th><th class="n">robustness${run.metric_unit ? ` [${run.metric_unit}]` : ""}</th><th>${ruled ? "breaks" : "violates"}</th>
       <th class="n">of the answer</th><th class="n">misses</th><th class="n">log weight</th><th class="n">stage</th></tr></thead>
       <tbody>${shown.map((row) => html`<tr key=${row.rank} aria-selected=${row.rank === rank} onClick=${() => pick(row.rank)}>
         <td class="n">${row.rank}</td><td class="n">${number(row.robustness)}</td>
