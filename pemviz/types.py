@@ -324,6 +324,7 @@ DiagnosticKind = Literal[
     "exploration-alone",
     "plain-disagrees",
     "hardly-sampled",
+    "uneven-side",
     "chains-disagree",
     "reference-disagrees",
     "reference-unreliable",

@@ -34,6 +34,7 @@ from pemviz.sampling.estimates.diagnostics import (
     plain_disagreement,
     reference_disagreement,
     reliable_pareto_k,
+    uneven_sides,
     unreliable_reference,
     weight_diagnostics,
 )
@@ -327,6 +328,7 @@ def one_of_each_kind():
         *called_safe(0.1, relative_error=0.01),
         *parts_disagreement(late=3.5, halves=1.0),
         *exploration_alone(0.3),
+        *uneven_sides([figures]),
         *plain_disagreement(0.5, low=0.01, high=0.03, failures=20, rollouts=1_000),
         *hardly_sampled(by_chains=0.5, by_weights=0.1),
         *chains_disagreement(more=2.0, allowed=0.5),

@@ -153,6 +153,11 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL_BUT_COUNTS,
         in_repetitions="a failure mode was met by hardly any proposal but exploration",
     ),
+    "uneven-side": Meaning(
+        phrase="that begin on one side",
+        undermines=ALL_BUT_COUNTS,
+        in_repetitions="the weights of violations that begin on one side have too heavy a tail",
+    ),
     "plain-disagrees": Meaning(
         phrase="plain rollouts that violate",
         undermines=ALL_BUT_COUNTS,
@@ -311,6 +316,27 @@ def exploration_alone(share: float) -> Sequence[Diagnostic]:
         "proposals would readily draw: a failure mode is not learned"
     )
     return (Diagnostic("exploration-alone", share, LARGE_SHARE, text),)
+
+
+def uneven_sides(sides: Sequence[WeightFigures]) -> Sequence[Diagnostic]:
+    """Of an average of weights, by those of its violations on each side of the median start.
+
+    As for the weights of all, which do not show it where another side carries most of them.
+    """
+    limit = RELIABLE_PARETO_K
+    heavy = [
+        side.pareto_k
+        for side in sides
+        if side.pareto_k is not None and (side.tail_load or 0.0) > LIGHT_LOAD
+    ]
+    worst = max(heavy, default=0.0)
+    if worst <= limit:
+        return ()
+    text = (
+        f"the weights of violations that begin on one side of the median start have too heavy a "
+        f"tail (Pareto k-hat {worst:.2f}, reliable up to {limit:.2g}): more may violate there"
+    )
+    return (Diagnostic("uneven-side", worst, limit, text),)
 
 
 def plain_disagreement(

@@ -262,6 +262,7 @@ class Pool:
             proposals are fitted to.
         share: Of the rollouts, for proposals that are to violate what is at hand, beside others.
         latents: Of all rollouts but the final ones, where there are any.
+        start: Latents at the start of all, ``[M, S]``, where proposals move some.
         rule: The one at hand.
         failing: What is kept of a large final batch's violations, part by part; rollouts of it
             that hold only count.
@@ -283,6 +284,7 @@ class Pool:
     conjuncts: Verdicts = field(default_factory=dict[Rule, tuple[Verdict, ...]])
     share: float = 1.0
     latents: LatentDecisions | None = None
+    start: FloatArray | None = None
     rule: Rule = None
     failing: tuple[FailingWeights, ...] = ()
     row: IntArray | None = None

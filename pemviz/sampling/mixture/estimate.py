@@ -3,16 +3,21 @@
 An average of weights has no way to know of a failure mode that its proposals do not draw. What
 shows it, if anything does, is that parts of the rollouts disagree: those before the final batch
 and the final batch; one half and the other; what fitted proposals draw and what exploration
-proposals draw.
+proposals draw. And where violations begin on several sides of what is likely, the weights of one
+side may be as uneven as can be without a trace of it in the weights of all.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from pemviz.sampling.estimates.diagnostics import exploration_alone, parts_disagreement
+from pemviz.sampling.estimates.diagnostics import (
+    exploration_alone,
+    parts_disagreement,
+    uneven_sides,
+)
 from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
     HARD_ADAPTATION,
@@ -23,6 +28,7 @@ from pemviz.sampling.estimates.estimators import (
     mixture_estimate,
 )
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
+from pemviz.sampling.estimates.weight_diagnostics import weight_figures
 from pemviz.sampling.kept import COUNTS, KeptRepetition, Recounted
 from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
@@ -35,6 +41,10 @@ ERROR_FACTOR = "error_factor"
 """The factor on the standard error, of all alike."""
 NOT_KEPT = -1
 """In place of components that no violation was sampled from: they add nothing to an error."""
+FEW_STARTS = 3
+"""So many latents at the start have their sides told apart together, more of them each alone."""
+LEAST_SIDE = 0.1
+"""Of the estimate, on a side whose weights are looked at for themselves."""
 PARTS_ADAPTATION = math.sqrt(2.0)
 """Factor on the standard error of a part, which strata of few rollouts tell too small."""
 LogEstimate = tuple[float, float]
@@ -164,7 +174,22 @@ def disagreements(pool: Pool, *, final: slice) -> Sequence[Diagnostic]:
     return (
         *parts_disagreement(late=_errors_apart(*late), halves=_errors_apart(*halves)),
         *exploration_alone(by_exploration),
+        *uneven_sides([weight_figures(side, of=pool.sampled) for side in _sides(pool)]),
     )
+
+
+def _sides(pool: Pool) -> Iterator[FloatArray]:
+    """Log weights of the violations on each side of the starts' medians that has a share of all."""
+    if pool.start is None or not pool.violated.any():
+        return
+    upper, log_weight = pool.start[pool.violated] >= 0.0, pool.log_weight[pool.violated]
+    latents = upper.shape[1]
+    number = upper @ (1 << np.arange(latents)) if latents <= FEW_STARTS else None
+    sides = upper.T if number is None else number == np.unique(number)[:, None]
+    for side in sides if number is not None else np.concatenate([sides, ~sides]):
+        share = math.exp(log_sum(log_weight[side]) - log_sum(log_weight)) if side.any() else 0.0
+        if LEAST_SIDE <= share < 1.0:
+            yield log_weight[side]
 
 
 def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:

@@ -190,6 +190,7 @@ def pool_of(
             for rule, some in terms.conjuncts.items()
         },
         latents=latents,
+        start=_starts(rollouts, terms),
     )
 
 
@@ -222,8 +223,15 @@ def _failing_of(  # noqa: PLR0917  as pool_of takes them
         log_p=log_p,
         rule_robustness=scored.rule_robustness,
         broken=scored.broken,
+        start=_starts(scored.rollouts, terms),
         failing=tuple(failing),
     )
+
+
+def _starts(rollouts: RolloutBatch, terms: Terms) -> FloatArray | None:
+    """Latents at the start that proposals move, ``[n, S]``."""
+    latents = rollouts.latents
+    return None if latents is None or not terms.starts else latents.start[:, : terms.starts]
 
 
 def error_model(rollouts: RolloutBatch, terms: Terms) -> FittedMoves:
@@ -346,6 +354,9 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
         conjuncts=conjuncts,
         latents=latents,
+        start=None
+        if pool.start is None or fresh.start is None
+        else np.concatenate([pool.start, fresh.start]),
         failing=(*pool.failing, *fresh.failing),
         row=row,
         log_stands_for=log_stands_for,
