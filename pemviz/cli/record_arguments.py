@@ -1,7 +1,7 @@
 """Options of ``pemviz record``, and the configuration that they start from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -158,10 +158,13 @@ def parse(words: Sequence[str]) -> RecordArguments:
     arguments = _with_shorthands(_with_rules(arguments, start.experiment))
     free = (*WITHOUT_EFFECT, "lost") if start.experiment.lost == "end" else WITHOUT_EFFECT
     begun = {name: getattr(start.experiment, name) for name in free}
-    if source.resume and replace(arguments.experiment, **begun) != start.experiment:
+    asked = replace(arguments.experiment, **begun)
+    if source.resume and asked != start.experiment:
+        every = [field.name for field in fields(asked)]
+        differ = [n for n in every if getattr(asked, n) != getattr(start.experiment, n)]
         message = (
             f"resume = {source.resume}: the run goes on with its own configuration; leave out "
-            "the options that differ from it"
+            f"{', '.join(differ)}"
         )
         raise ConfigError(message)
     arguments = replace(arguments, experiment=with_own_rules(arguments.experiment))

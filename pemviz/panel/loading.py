@@ -95,7 +95,16 @@ def load_run(folder: Path, *, most_read_bytes: int = READ_BYTES) -> RunData:
     """
     result = read_whole_run(folder, most_bytes=most_read_bytes)
     config = result.config
-    own = _own_scenario(config)
+    try:
+        own = _own_scenario(config)
+    except InputError as error:
+        if result.simulator is None:
+            raise
+        message = (
+            f"run {folder}: its simulator, {result.simulator.code}, is known to the program that "
+            "ran it alone; register it under the entry points pemviz.simulators to see the run here"
+        )
+        raise InputError(message) from error
     table, mapped = _rollouts(folder, config, own, most_read_bytes=most_read_bytes)
     table = numbered(table) if table else {}
     parts = (table,) if table else ()

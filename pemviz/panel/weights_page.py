@@ -243,7 +243,7 @@ def _nearest(run: RunData) -> tuple[object, Scan[FloatArray]]:
 def _least_gaps(run: RunData) -> str:
     """How likely the least gap is below a value: under the error model, and as drawn."""
     if run.distance is None:
-        return quiet("No signal of the scenario says how near the cars come.")
+        return quiet("No signal of the scenario says how near a collision is.")
     gaps = least_gaps(run)
     if gaps is None:
         return quiet("No rollouts that the answer rests on yet.")

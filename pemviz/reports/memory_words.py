@@ -226,7 +226,8 @@ def not_looked_at(result: RunResult) -> str:
     """That a run says nothing of other memories, and what does."""
     return (
         "How far the assumption on how misses follow each other changes the answer was not looked "
-        f"at in this run: {memory_option(result)} does. On video misses come in bursts."
+        f"at in this run: {memory_option(result)} does. "
+        "Detectors that were measured on video missed in bursts."
     )
 
 

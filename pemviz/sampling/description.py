@@ -32,8 +32,8 @@ StageInterval = Literal["log-normal", "binomial", "between runs", "none"]
 Counting = Literal["rollouts", "level"]
 
 LEARNING_WORDS = (
-    "Black: how likely the detector is to see the car ahead. Orange: what rollouts are sampled "
-    "from. It learns to miss where misses cause a violation; older stages fade."
+    "Black: how likely the detector is to see what it looks for. Orange: what rollouts are "
+    "sampled from. It learns to miss where misses cause a violation; older stages fade."
 )
 
 

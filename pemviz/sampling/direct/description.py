@@ -79,6 +79,7 @@ NAIVE = MethodDescription(
     curve_name="what rollouts are sampled from",
     learning_words=(
         "Nothing is learned by this method: all rollouts are sampled with one constant probability "
-        "of detection (orange). Black: how likely the detector is to see the car ahead."
+        "of detection (orange). Black: how likely the detector is to see what it "
+        "looks for."
     ),
 )
