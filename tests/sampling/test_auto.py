@@ -93,12 +93,12 @@ def test_what_only_the_last_stage_shows_is_learned_from_and_resumed_to_the_last_
     """
     (branches,) = problems.chosen(["four-branch"])
     config = ExperimentConfig(
-        method="auto", spec=branches.motion.spec, seed=0, max_rollouts=6_000, chains=0
+        method="auto", spec=branches.motion.spec, seed=0, max_rollouts=9_000, chains=0
     )
     whole = problems.experiment_of(branches, config)
     state, results = stepped_through(whole.method, whole.problem)
     sizes = {stage.stage: stage.scored.rollouts.count for stage in results if stage.kind == "learn"}
-    (late,) = [stage for stage, size in sizes.items() if size > 2 * config.rollouts]
+    late, *_ = [stage for stage, size in sizes.items() if size > 2 * config.rollouts]
     assert late < max(sizes)
     assert [stage.kind for stage in results].count("final") == 1
     assert sum(stage.scored.rollouts.count for stage in results[2:]) <= config.max_rollouts
