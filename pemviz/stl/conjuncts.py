@@ -5,7 +5,7 @@ is ever reached, and ``abs(x) <= c`` bounds on two sides. What ``eventually`` de
 whole interval, and is one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from pemviz.stl import formulas as fo
@@ -29,7 +29,7 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     found, place = [formula], 0
     while place < len(found):
         try:
-            parts = _conjuncts(found[place])
+            parts = _parts(found[place], conjunction=True)
         except fo.FormulaError:  # nested as deeply as any may be
             parts = ()
         if parts and len(found) - 1 + len(parts) <= MOST:
@@ -39,46 +39,27 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     return tuple(found)
 
 
-def _conjuncts(formula: Formula) -> Sequence[Formula]:
-    """Those of the outermost conjunction that can be moved outward; none where there is none."""
+def _parts(formula: Formula, *, conjunction: bool) -> Sequence[Formula]:
+    """Of its outermost conjunction, or else disjunction, that can be moved outward; else none."""
     parts: Sequence[Formula] = ()
     match formula:
-        case fo.And():
+        case fo.And() | fo.Or() if isinstance(formula, fo.And) == conjunction:
             parts = formula.parts
-        case fo.Always():
-            parts = [replace(formula, operand=one) for one in _conjuncts(formula.operand)]
-        case fo.Until():
+        case fo.And() | fo.Or():
+            parts = _one_part(formula, conjunction=conjunction)
+        case fo.Always() | fo.Eventually() if isinstance(formula, fo.Always) == conjunction:
+            inner = _parts(formula.operand, conjunction=conjunction)
+            parts = [replace(formula, operand=one) for one in inner]
+        case fo.Not():
+            inner = _parts(formula.operand, conjunction=not conjunction)
+            parts = [fo.Not(one) for one in inner]
+        case fo.Implies():
+            parts = _of_implication(formula, conjunction=conjunction)
+        case fo.Until() if conjunction:
             parts = [_reached(formula), fo.Implies(_reached(formula), formula)]
-        case fo.Or():
-            parts = _one_part(formula.parts, _conjuncts, fo.Or)
-        case fo.Not():
-            parts = [fo.Not(one) for one in _disjuncts(formula.operand)]
-        case fo.Implies():
-            parts = _of_implication(formula)
         case fo.Predicate():
-            parts = _of_comparison(formula, conjunction=True)
-        case _:  # eventually, which fails over a whole interval
-            pass
-    return parts
-
-
-def _disjuncts(formula: Formula) -> Sequence[Formula]:
-    """The same of a disjunction, which holds where one of them does."""
-    parts: Sequence[Formula] = ()
-    match formula:
-        case fo.Or():
-            parts = formula.parts
-        case fo.Eventually():
-            parts = [replace(formula, operand=one) for one in _disjuncts(formula.operand)]
-        case fo.And():
-            parts = _one_part(formula.parts, _disjuncts, fo.And)
-        case fo.Not():
-            parts = [fo.Not(one) for one in _conjuncts(formula.operand)]
-        case fo.Implies():
-            parts = [fo.Not(formula.premise), formula.conclusion]
-        case fo.Predicate():
-            parts = _of_comparison(formula, conjunction=False)
-        case _:  # always and until, which hold over a whole interval
+            parts = _of_comparison(formula, conjunction=conjunction)
+        case _:  # over a whole interval
             pass
     return parts
 
@@ -87,24 +68,23 @@ def _reached(formula: fo.Until) -> Formula:
     return fo.Eventually(formula.first, formula.last, formula.right)
 
 
-def _of_implication(formula: fo.Implies) -> Sequence[Formula]:
+def _of_implication(formula: fo.Implies, *, conjunction: bool) -> Sequence[Formula]:
     premise, conclusion = formula.premise, formula.conclusion
+    if not conjunction:
+        return [fo.Not(premise), conclusion]
     if isinstance(conclusion, fo.Until) and premise == _reached(conclusion):
         return ()  # what an until is left with
-    parts = [fo.Implies(premise, one) for one in _conjuncts(conclusion)]
-    return parts or [fo.Implies(one, conclusion) for one in _disjuncts(premise)]
+    parts = [fo.Implies(premise, one) for one in _parts(conclusion, conjunction=True)]
+    return parts or [fo.Implies(one, conclusion) for one in _parts(premise, conjunction=False)]
 
 
-def _one_part(
-    parts: tuple[Formula, ...],
-    taken_apart: Callable[[Formula], Sequence[Formula]],
-    whole: Callable[[tuple[Formula, ...]], Formula],
-) -> Sequence[Formula]:
+def _one_part(formula: fo.And | fo.Or, *, conjunction: bool) -> Sequence[Formula]:
     """The others with each piece of the first part that can be taken apart."""
-    for place, part in enumerate(parts):
-        pieces = taken_apart(part)
+    for place, part in enumerate(formula.parts):
+        before, after = formula.parts[:place], formula.parts[place + 1 :]
+        pieces = _parts(part, conjunction=conjunction)
         if pieces:
-            return [whole((*parts[:place], one, *parts[place + 1 :])) for one in pieces]
+            return [replace(formula, parts=(*before, one, *after)) for one in pieces]
     return ()
 
 

@@ -397,6 +397,7 @@ def test_workers_that_grow_are_replaced_and_nothing_is_lost(toy_problem, monkeyp
     """After 100 MB, which each holds after five pieces."""
     monkeypatch.setattr(pooled_rollouts, "GROWN_BYTES", 100 * 2**20)
     monkeypatch.setattr(pooled_rollouts, "LEAST_PIECES", 3)
+    monkeypatch.setattr(pooled_rollouts, "AHEAD_S", 0.0)  # or workers are done before one is asked
     problem = replace(toy_problem, batch_rollouts=6, pem=ConstantPem(0.1))
     processes = set()
 

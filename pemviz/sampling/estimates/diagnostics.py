@@ -230,7 +230,7 @@ def weight_diagnostics(
 
 
 def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagnostic]:
-    share, ess, k_hat = figures.max_weight_share, figures.ess, figures.pareto_k
+    share, ess = figures.max_weight_share, figures.ess
     found: list[Diagnostic] = []
     if share is not None and share > LARGE_SHARE:
         text = f"one rollout carries {share:.0%} of the weight: do not quote this number"
@@ -241,16 +241,19 @@ def _uneven_weights(figures: WeightFigures, *, failures: int) -> Sequence[Diagno
             f"(effective sample size)"
         )
         found.append(Diagnostic("few-effective-samples", ess, SMALL_ESS, text))
-    if k_hat is None or figures.tail_load is None or figures.tail_load <= LIGHT_LOAD:
-        return found
-    limit = reliable_pareto_k(failures)
-    if k_hat > limit:
+    k_hat = _tail_that_matters(figures)
+    if k_hat is not None and k_hat > (limit := reliable_pareto_k(failures)):
         text = (
             f"the weights' tail is too heavy (Pareto k-hat {k_hat:.2f}, reliable up to "
             f"{limit:.2g}): the true value may lie outside the interval"
         )
         found.append(Diagnostic("heavy-tail", k_hat, limit, text))
     return found
+
+
+def _tail_that_matters(figures: WeightFigures) -> float | None:
+    """k-hat; ``None`` where there is none, or the tail carries next to nothing."""
+    return figures.pareto_k if (figures.tail_load or 0.0) > LIGHT_LOAD else None
 
 
 def _below_doubles(log10_probability: float) -> Sequence[Diagnostic]:
@@ -321,15 +324,10 @@ def exploration_alone(share: float) -> Sequence[Diagnostic]:
 def uneven_sides(sides: Sequence[WeightFigures]) -> Sequence[Diagnostic]:
     """Of an average of weights, by those of its violations on each side of the median start.
 
-    As for the weights of all, which do not show it where another side carries most of them.
+    Weights of all do not show it where another side carries most of them.
     """
     limit = RELIABLE_PARETO_K
-    heavy = [
-        side.pareto_k
-        for side in sides
-        if side.pareto_k is not None and (side.tail_load or 0.0) > LIGHT_LOAD
-    ]
-    worst = max(heavy, default=0.0)
+    worst = max((_tail_that_matters(side) or 0.0 for side in sides), default=0.0)
     if worst <= limit:
         return ()
     text = (

@@ -22,7 +22,8 @@ come from one fitted to the lowest level of robustness whose probability they do
 Another quarter comes from proposals for failure modes that the newest would hardly draw, in the
 second half only where they carry a thousandth of the estimate already
 (:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
-proposals of its own, in equal shares; a proposal and a rollout's likelihood go as far as the rule
+proposals of its own, in equal shares, and so has each conjunct of a rule, by what it has of the
+estimate; a proposal and a rollout's likelihood go as far as the rule
 at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
 Latents, where the scenario takes any, are moved beside outcomes: exploration proposals move one at

@@ -58,6 +58,15 @@ class Simulated:
     resident_bytes: int
 
 
+@dataclass
+class _Held:
+    """Memory of a worker: after its first piece, and after the newest of so many."""
+
+    first_bytes: int
+    pieces: int = 0
+    now_bytes: int = 0
+
+
 class LostError(Exception):
     """A worker was lost with what it was at, or what it was at broke the simulator."""
 
@@ -96,7 +105,7 @@ class PooledRunner:
     _took_s: deque[float] = field(
         default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
     )
-    _held: dict[int, list[int]] = field(default_factory=dict[int, list[int]], init=False)
+    _held: dict[int, _Held] = field(default_factory=dict[int, _Held], init=False)
 
     def __call__(
         self, simulator: Simulator, pem: Pem, tasks: Iterable[BatchTask]
@@ -191,14 +200,16 @@ class PooledRunner:
             self.lost += 1  # the cluster has others
             raise LostError("killed, or the machine is out of memory") from error
         self._took_s.append(simulated.took_s / simulated.rollouts.count)
-        self._held.setdefault(simulated.process, []).append(simulated.resident_bytes)
+        own = self._held.setdefault(simulated.process, _Held(simulated.resident_bytes))
+        own.pieces, own.now_bytes = own.pieces + 1, simulated.resident_bytes
         return marked(simulated.rollouts) if self.loses else simulated.rollouts
 
     def retire_if_grown(self) -> bool:
         """Have other workers where one holds much more than after its first piece; whether so."""
         most = min(GROWN_BYTES, GROWN_SHARE * machine_bytes() / self.workers)
         grown = any(
-            len(held) >= LEAST_PIECES and held[-1] - held[0] > most for held in self._held.values()
+            held.pieces >= LEAST_PIECES and held.now_bytes - held.first_bytes > most
+            for held in self._held.values()
         )
         if self.retire is None or not grown:
             return False
