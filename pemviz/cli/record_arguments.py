@@ -9,7 +9,7 @@ import tyro
 
 from pemviz.cli.help import HelpPage
 from pemviz.cli.parsing import Processes, parse_arguments
-from pemviz.config import WITHOUT_EFFECT, ExperimentConfig, StartChoice
+from pemviz.config import LIMITS, WITHOUT_EFFECT, ExperimentConfig, StartChoice
 from pemviz.config.ranges import Range, check_value
 from pemviz.config.rule_words import Bound, GateLimits, read_limits, read_rules, read_starts
 from pemviz.config.toml_files import load_config, load_preset, with_own_rules
@@ -39,7 +39,7 @@ Certainty
 Output
   --out DIR           where run folders go; --verbose, --json: what is printed
   --fail-above P      exit code 1 if the bound is above: --fail-on; --summary
-  --resume RUN        go on with a run that was stopped
+  --resume RUN        go on with a run that was stopped, or with other limits
 Examples
   pemviz record --preset cut-in --pem rrc
   pemviz record --memory-s 0.25 --frailty 0.7 --target 1e-4
@@ -156,7 +156,7 @@ def parse(words: Sequence[str]) -> RecordArguments:
         if value is not None:
             check_value(name=name, value=value, annotation=annotation)
     arguments = _with_shorthands(_with_rules(arguments, start.experiment))
-    free = (*WITHOUT_EFFECT, "lost") if start.experiment.lost == "end" else WITHOUT_EFFECT
+    free = (*WITHOUT_EFFECT, *LIMITS, *(["lost"] if start.experiment.lost == "end" else []))
     begun = {name: getattr(start.experiment, name) for name in free}
     asked = replace(arguments.experiment, **begun)
     if source.resume and asked != start.experiment:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.record_arguments import RecordArguments
+from pemviz.config import LIMITS, ExperimentConfig
 from pemviz.config.rule_words import GateLimits
-from pemviz.errors import EXIT_DONE, EXIT_FAILED, RunError
+from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.pipeline import ReportWriter
 from pemviz.reports.terminal import print_summary
@@ -20,8 +21,9 @@ from pemviz.runs.progress import progress_observer
 from pemviz.runs.reading import result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.run_folder import carry_out, create_run_folder, may_go_on
 from pemviz.runs.workers import check_workers, no_use
+from pemviz.sampling.registry import by_name
 
 
 def record(arguments: RecordArguments) -> int:
@@ -35,7 +37,7 @@ def record(arguments: RecordArguments) -> int:
         summary=arguments.summary, junit=arguments.junit, limits=arguments.limits
     )
     left = None if arguments.source.resume is None else result_left(arguments.source.resume)
-    if left is not None and left.status == "done":
+    if left is not None and left.status == "done" and not _goes_on(arguments, left):
         return _report_done(arguments, left, reports=reports)
     experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
@@ -61,10 +63,32 @@ def record(arguments: RecordArguments) -> int:
         _print_json(result, limits=arguments.limits)
     else:
         print_summary(result, folder, verbose=arguments.verbose)
+    if may_go_on(folder):
+        more = _resuming(arguments, folder, *_more(experiment.config))
+        print(f"pemviz: less precise than was asked; to go on: {more}", file=sys.stderr)
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
     return gate_exit_code(result, limits=arguments.limits)
+
+
+def _goes_on(arguments: RecordArguments, result: RunResult) -> bool:
+    """Whether a run that is done is to go on with other limits.
+
+    Raises:
+        ConfigError: It is, and cannot.
+    """
+    begun, wanted, folder = result.config, arguments.experiment, arguments.source.resume
+    names = [name for name in LIMITS if getattr(begun, name) != getattr(wanted, name)]
+    if not names or folder is None:
+        return False
+    if may_go_on(folder):
+        return True
+    given = ", ".join(f"{name} = {getattr(wanted, name)}" for name in names)
+    why = f"{folder} is done, and as precise as it was to be, so that its stages were not kept"
+    if by_name(begun.method).most is None:
+        why = f"{folder} is done, and its method {begun.method} has no limits"
+    raise ConfigError(f"{given}: {why}; start a new run")
 
 
 def _own_process_notes(arguments: RecordArguments, experiment: Experiment) -> Sequence[str]:
@@ -125,12 +149,24 @@ def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:
     """Where a run that failed is, and the command that goes on with it."""
     if not (folder / "config.toml").exists():
         return f"nothing is in {folder}"
-    words = ["pemviz", "record", "--resume", str(folder)]
-    words += ["--allow-python"] * arguments.allow_python
     return (
         f"what was finished is in {folder}; once the cause is removed, go on with: "
-        f"{shlex.join(words)}"
+        f"{_resuming(arguments, folder)}"
     )
+
+
+def _resuming(arguments: RecordArguments, folder: Path, *options: str) -> str:
+    """The command that goes on with a run."""
+    words = ["pemviz", "record", "--resume", str(folder), *options]
+    return shlex.join([*words, *["--allow-python"] * arguments.allow_python])
+
+
+def _more(config: ExperimentConfig) -> Sequence[str]:
+    """The option that gives a run twice what stopped it."""
+    if config.max_minutes is not None:
+        return "--max-minutes", f"{2.0 * config.max_minutes:g}"
+    most = by_name(config.method).most
+    return ("--max-rollouts", f"{2 * most(config)}") if most is not None else ()
 
 
 def _recorders(arguments: RecordArguments, folder: Path) -> Sequence[Observer]:

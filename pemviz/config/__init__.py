@@ -4,6 +4,7 @@ from pemviz.config.encounters import LOGICAL_SCENARIOS, EncounterConfig, StartCh
 from pemviz.config.settings import (
     BLACK_BOXES,
     CLIENTS,
+    LIMITS,
     METHODS,
     SHIPPED_SIMULATORS,
     WITHOUT_EFFECT,
@@ -19,6 +20,7 @@ from pemviz.config.settings import (
 __all__ = [
     "BLACK_BOXES",
     "CLIENTS",
+    "LIMITS",
     "LOGICAL_SCENARIOS",
     "METHODS",
     "SHIPPED_SIMULATORS",

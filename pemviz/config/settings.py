@@ -50,6 +50,8 @@ RULE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 MOST_RULES = 20
 WITHOUT_EFFECT = ("step_time_limit_s",)
 """Settings that results do not depend on: a run goes on with others."""
+LIMITS = ("precision", "max_rollouts", "max_minutes")
+"""Settings that say when a run is over: one goes on with others from where it ended."""
 
 
 @dataclass(frozen=True)
@@ -226,8 +228,9 @@ class ExperimentConfig:
     """Rollouts at most that method auto samples from proposals; 10 to 100 million. Left out, ten
     times those of stages, rollouts and final_rollouts."""
     max_minutes: Annotated[float, Range(low=0.0, low_open=True, high=1e5)] | None = None
-    """Minutes after which method auto begins no further stage but the last [min]; above 0, at most
-    1e5. The answer of a seed then depends on how fast the machine is. Left out, none."""
+    """Minutes that method auto means to take [min]; above 0, at most 1e5. Plain rollouts are cut
+    off, what proposals sample is planned by what rollouts took so far. The answer of a seed then
+    depends on how fast the machine is. Left out, none."""
     chains: Annotated[int, Range(low=0, high=100_000)] | None = None
     """Rollouts a level of the Markov chains that search for failure modes before mixture fits
     proposals; 0 to 100,000, 0: none do. Left out, 200 where rollouts begin at random or noise

@@ -15,6 +15,9 @@ from pemviz.types import Estimate
 
 UNKNOWN = "unknown"
 FEWEST_DIGITS, MOST_DIGITS = 2, 4
+NEARLY, FAR = 0.8, 2.0
+"""Of the minutes, from which on these are what ended a count; times the half-width asked for, from
+which on a count was not carried to its end."""
 NONE_SEEN = "0: no violation was seen"
 REFITS = "refits of one architecture on the same data, not other model classes"
 """What the error model's ensemble is."""
@@ -170,8 +173,10 @@ def chosen_text(result: RunResult) -> str | None:
     counts = by_name(estimate.method).interval_basis == "counts"
     if config.max_minutes is not None:
         # a count that came to an end met violations by which its number was chosen
-        took_s = result.timings_s.get("total", math.inf) if estimate.failures else math.inf
-        if not counts or took_s >= 60.0 * config.max_minutes:
+        took_s = result.timings_s.get("total", math.inf)
+        is_cut = not estimate.failures or took_s >= NEARLY * 60.0 * config.max_minutes
+        # of a run that went on, that took its time before, the width tells
+        if not counts or is_cut or half > FAR * config.precision:
             return f"{words}, and stopped by max_minutes {config.max_minutes:g}"
     if counts:
         words += f"; {estimate.rollouts_in_estimate} plain rollouts were counted, as many as the "

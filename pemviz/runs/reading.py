@@ -5,7 +5,7 @@ done, before the panel shows one.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -118,6 +118,7 @@ def run_differs(
     config: ExperimentConfig,
     pem_digest: str | None = None,
     position_digest: str | None = None,
+    free: Sequence[str] = WITHOUT_EFFECT,
 ) -> str | None:
     """How the run of a result differs from the one wanted, in words; ``None``: not at all.
 
@@ -126,9 +127,10 @@ def run_differs(
         config: What is wanted.
         pem_digest: SHA-256 of the error model that is wanted; ``None``: any of its name.
         position_digest: The same of the position errors.
+        free: Settings that may differ.
     """
     settings = setting_differences(result.config, config)
-    decisive = {name: both for name, both in settings.items() if name not in WITHOUT_EFFECT}
+    decisive = {name: both for name, both in settings.items() if name not in free}
     if decisive:
         name, (begun, wanted) = next(iter(decisive.items()))
         return f"settings other than those of its config.toml ({name} = {begun!r}, not {wanted!r})"

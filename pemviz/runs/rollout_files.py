@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from pemviz.arrays import LARGEST_NUMBER, AnyArray, FloatArray, IntArray, row_sums
+from pemviz.config import LIMITS
 from pemviz.errors import InputError
 from pemviz.files.array_files import DIGEST, append_digest, read_arrays, read_digested
 from pemviz.files.atomic import write_atomically
@@ -248,11 +249,12 @@ def part_path(folder: Path, *, repetition: int, stage: int) -> Path:
 def _belongs_to(path: Path) -> bytes:
     """What a stage's file is of: repetition and stage by its name, a run by its settings.
 
-    By those but ``lost``, which a run that loses its first rollout may go on with another of.
+    By those but what a run may go on with others of: its limits, and ``lost``, if it has lost none.
     """
     settings = path.parent.parent / "config.toml"
     lines = settings.read_bytes().splitlines(keepends=True) if settings.is_file() else []
-    own = (line for line in lines if not line.startswith(b"lost = "))
+    free = tuple(f"{name} = ".encode() for name in ("lost", *LIMITS))
+    own = (line for line in lines if not line.startswith(free))
     return path.name.encode() + b"\n" + b"".join(own)
 
 

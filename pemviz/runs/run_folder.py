@@ -14,7 +14,7 @@ import numpy as np
 from safetensors.numpy import save as save_tensors
 
 from pemviz.arrays import AnyArray
-from pemviz.config import KeepName, LostName
+from pemviz.config import LIMITS, WITHOUT_EFFECT, ExperimentConfig, KeepName
 from pemviz.config.toml_files import config_text, load_config
 from pemviz.errors import InputError
 from pemviz.files.atomic import held, write_bytes, write_text
@@ -28,11 +28,14 @@ from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import RESULT_FILE, has_result, write_result
 from pemviz.runs.rollout_files import PART_FOLDER, ROLLOUTS_FILE
 from pemviz.sampling.problem import FinishedStage, rule_scores
+from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.losing import marked
 from pemviz.types import LOST, Signal, StageResult
 
 LOG = logging.getLogger(__name__)
 LOCK, RECORDING, PROPOSALS = ".lock", "run.rrd", "proposals.safetensors"
+KEPT_PARTS = ".stages"
+"""Where the stages of a run lie that is done, and less precise than it was to be."""
 ALWAYS_WRITTEN = 100
 """Stages after which ``result.json``, which lists each, is written whatever it takes."""
 PAUSES = 20
@@ -102,7 +105,8 @@ class RunStore:
     After every stage, of very many now and then, ``result.json`` is rewritten, and the stage's
     rollouts, those that the configuration keeps, are in a file of their own; the end of the run
     joins these into ``rollouts.npz``. The stages' files of a run that was stopped or failed stay,
-    so that it can be resumed. ``result.json`` has digests of the files that are whole.
+    so that it can be resumed, and those of one that is less precise than it was to be, so that it
+    can go on with other limits. ``result.json`` has digests of the files that are whole.
 
     Attributes:
         folder: The run folder; it exists already.
@@ -166,7 +170,9 @@ class RunStore:
         self._join()
         write_result(self.folder, result, files=(CONFIG, ROLLOUTS_FILE, PROPOSALS, *self._others))
         parts = self.folder / PART_FOLDER
-        if parts.exists():
+        if parts.exists() and is_short(result):
+            parts.rename(self.folder / KEPT_PARTS)
+        elif parts.exists():
             removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
             shutil.rmtree(removed, ignore_errors=True)
 
@@ -259,7 +265,7 @@ def carry_out(
     """
     with run_lock(folder):
         check_resumable(experiment, folder)
-        _let_lose(folder, experiment.config.lost)
+        _let_go_on(folder, experiment.config)
         archive = Archive(folder, experiment.declared.signals)
         store = RunStore(folder, archive=archive, others=(RECORDING,))
         return run(
@@ -291,21 +297,42 @@ def going_on(experiment: Experiment, archive: Archive) -> Experiment:
     return replace(experiment, problem=replace(problem, finished=judged))
 
 
-def _let_lose(folder: Path, lost: LostName) -> None:
-    """Have a run that the first lost rollout would have ended count those that come.
+def is_short(result: RunResult) -> bool:
+    """Whether an answer is less precise than it was to be, by a method that goes on until it is."""
+    if by_name(result.config.method).most is None or result.estimate is None:
+        return False
+    answers = [result.estimate, *(rule.estimate for rule in result.rules if rule.estimate.failures)]
+    return any(not each.relative_half_width <= result.config.precision for each in answers)
+
+
+def may_go_on(folder: Path) -> bool:
+    """Whether a run that is done has its stages still, and can go on with other limits."""
+    return (folder / KEPT_PARTS).is_dir()
+
+
+def _let_go_on(folder: Path, wanted: ExperimentConfig) -> None:
+    """Take over settings that a run may go on with others of: what loses it, and its limits.
 
     A kill in between leaves stages without a result, from which it goes on too.
     """
     path = folder / CONFIG
-    config = load_config(path) if path.exists() else None
-    if config is None or config.lost != "end" or lost == "end":
+    if not path.exists():
+        return
+    begun = load_config(path)
+    chosen = {name: getattr(wanted, name) for name in LIMITS}
+    if begun.lost == "end":
+        chosen["lost"] = wanted.lost
+    config = replace(begun, **chosen)
+    if config == begun:
         return
     result = result_left(folder)
-    (folder / RESULT_FILE).unlink(missing_ok=True)
-    write_text(path, config_text(replace(config, lost=lost)))
-    if result is not None:
-        result = replace(result, config=replace(result.config, lost=lost))
-        write_result(folder, result, files=(CONFIG,))
+    if may_go_on(folder):
+        (folder / KEPT_PARTS).rename(folder / PART_FOLDER)
+    for name in (RESULT_FILE, ROLLOUTS_FILE):
+        (folder / name).unlink(missing_ok=True)
+    write_text(path, config_text(config))
+    if result is not None and result.status != "done":
+        write_result(folder, replace(result, config=config), files=(CONFIG,))
 
 
 @contextlib.contextmanager
@@ -341,11 +368,13 @@ def check_resumable(experiment: Experiment, folder: Path) -> None:
     config, errors = experiment.config, experiment.back_end.position_errors
     if result.status != "done" and result.config.lost == "end":  # none can be among the rollouts
         config = replace(config, lost="end")
+    goes_on = result.status != "done" or may_go_on(folder)
     difference = run_differs(
         result,
         config=config,
         pem_digest=experiment.pem.digest,
         position_digest=None if errors is None else errors.digest,
+        free=(*WITHOUT_EFFECT, *LIMITS) if goes_on else WITHOUT_EFFECT,
     )
     if difference is not None:
         raise InputError(f"run {folder}: was begun with {difference}; start a new run")

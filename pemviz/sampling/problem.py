@@ -177,14 +177,21 @@ def sample(
     proposal: Proposal,
     count: int,
     seeds: np.random.SeedSequence,
+    is_over: Callable[[], bool] = lambda: False,
 ) -> ScoredRollouts:
     """Sample and score ``count`` rollouts, in batches that do not change the result.
+
+    Fewer, but one batch at least, if ``is_over``, which is asked after each.
 
     Raises:
         SimulationError: In a batch something raises, is no finite number, or takes too long.
     """
-    batches = sample_batches(problem, proposal=proposal, count=count, seeds=seeds)
-    return ScoredRollouts.concatenate(list(batches))
+    batches = list[ScoredRollouts]()
+    for batch in sample_batches(problem, proposal=proposal, count=count, seeds=seeds):
+        batches.append(batch)
+        if is_over():
+            break
+    return ScoredRollouts.concatenate(batches)
 
 
 def sample_batches(

@@ -322,6 +322,51 @@ def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
     assert read_whole_run(folder).status == "done"
 
 
+SHORT = replace(SMALL, method="auto", repetitions=2, precision=0.05, max_rollouts=220)
+
+
+def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
+    """From all that it has; stopped in between, or read back to the end, to the same bytes."""
+    longer = build_experiment(replace(SHORT, max_rollouts=900))
+    folders = [folder_of(tmp_path, name) for name in ("whole", "parts")]
+    for folder in folders:
+        carry_out(build_experiment(SHORT), folder)
+    before = read_whole_run(folders[0])
+    assert before.estimate.relative_half_width > SHORT.precision
+    sampled = load_rollouts(folders[0])
+
+    first = carry_out(longer, folders[0])
+    read_whole_run(folders[0])  # whose estimate is that of its rollouts
+    assert first.estimate.rollouts_simulated > 2 * before.estimate.rollouts_simulated
+    assert first.estimate.relative_half_width < before.estimate.relative_half_width
+    after = load_rollouts(folders[0])
+    for repetition in range(2):
+        old, new = (table["repetition"] == repetition for table in (sampled, after))
+        same = after["detected"][new][: old.sum()]
+        np.testing.assert_array_equal(same, sampled["detected"][old])
+
+    done = [len(result.stages) for result in (before, first)]
+    for stages in (done[0] // 2, done[1] - 1):
+        stop = StopAfter(stages)
+        assert carry_out(longer, folders[1], observers=[stop], should_stop=stop).status == "stopped"
+    words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "900"]
+    assert record.run(words) == EXIT_DONE
+    assert contents(folders[1]) == contents(folders[0])
+    assert f"--resume {folders[1]} --max-rollouts 1800" in capsys.readouterr().err
+
+
+def test_a_run_that_is_as_precise_as_was_asked_has_no_stages_to_go_on_from(tmp_path):
+    folder = folder_of(tmp_path, "whole")
+    carry_out(build_experiment(replace(SHORT, precision=0.9, repetitions=1)), folder)
+    before = contents(folder)
+    for words in (["--precision", "5%"], ["--max-minutes", "7", "--max-rollouts", "900"]):
+        with pytest.raises(InputError, match=r"as precise as it was to be, .*; start a new run$"):
+            record.run(["--resume", str(folder), *words])
+    with pytest.raises(InputError, match="was begun with settings other"):
+        carry_out(build_experiment(replace(SHORT, repetitions=1)), folder)
+    assert contents(folder) == before
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

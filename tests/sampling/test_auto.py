@@ -1,7 +1,8 @@
 """Method auto: plain rollouts where they pay, proposals where they do not, one answer checked."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import pytest
 from scipy import stats
@@ -115,42 +116,101 @@ def test_what_only_the_last_stage_shows_is_learned_from_and_resumed_to_the_last_
         assert whole.method.estimate(again) == found
 
 
-class Slow:
-    """A clock on which every look takes so long, in place of the machine's."""
+@dataclass(frozen=True, kw_only=True)
+class Slow(ToySimulator):
+    """Each rollout takes so long by a clock that stands in for the machine's."""
 
-    def __init__(self, look_s):
-        self.now_s, self.look_s = 0.0, look_s
+    clock: SimpleNamespace
+    rollout_s: float = 0.1
 
-    def perf_counter(self):
-        self.now_s += self.look_s
-        return self.now_s
+    def initial(self, *, count):
+        self.clock.now_s += count * self.rollout_s
+        return super().initial(count=count)
+
+
+def slow(system, monkeypatch, **settings):
+    """An experiment with a slow simulator, and its clock."""
+    clock = SimpleNamespace(now_s=0.0)
+    monkeypatch.setattr(method, "time", SimpleNamespace(perf_counter=lambda: clock.now_s))
+    walk, pem = system
+    simulator = Slow(clock=clock, initial_gap=walk.initial_gap, states=walk.states)
+    whole = experiment(simulator, pem, seed=3, chains=0, **settings)
+    clock.now_s = 0.0  # it was tried
+    return whole, clock
+
+
+def restoring(whole, results):
+    """Its problem with what another process left."""
+    left = {
+        result.stage: FinishedStage(result.scored, result.kept, result.sampled)
+        for result in results
+    }
+    return replace(whole.problem, finished=lambda _, stage: left.get(stage))
+
+
+@pytest.mark.parametrize("minutes", [0.2, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("system", [RARE, OFTEN])
+def test_minutes_end_it_with_an_answer_and_a_run_that_goes_on_decides_as_it_would_have(
+    system, minutes, monkeypatch
+):
+    """Rollouts of a tenth of a second: the first stage alone takes 24."""
+    whole, clock = slow(system, monkeypatch, precision=0.02, max_minutes=minutes)
+    state, results = stepped_through(whole.method, whole.problem)
+    assert 0.6 * 60.0 * minutes < clock.now_s < 1.1 * 60.0 * minutes
+    found, exact = whole.method.estimate(state), toy_probability_by_recursion(*system)
+    if found.method == "mixture":
+        assert found.probability == pytest.approx(exact, rel=0.6)
+    else:
+        assert found.ci_low <= exact <= found.ci_high
+    assert (found.method == "mixture") == (minutes >= 1.0)
+
+    again, _ = stepped_through(whole.method, restoring(whole, results))
+    assert whole.method.estimate(again) == found
+    cut = found.method == "monte-carlo"
+    once, _ = stepped_through(whole.method, restoring(whole, results[: -1 - cut]))
+    if not cut:  # when a count was cut off, the clock alone knows
+        assert whole.method.estimate(once) == found
 
 
 @pytest.mark.parametrize("system", [RARE, OFTEN])
-def test_minutes_end_it_with_an_answer_and_a_run_that_goes_on_decides_as_it_would_have(
-    system, monkeypatch
+@pytest.mark.parametrize(
+    ("begun", "wanted"),
+    [
+        ({"max_minutes": 0.3}, {"max_minutes": 20.0}),
+        ({"max_minutes": 1.0}, {"max_minutes": 20.0}),
+        ({"max_rollouts": 1_200}, {"max_rollouts": 20_000}),
+        ({"precision": 0.5}, {"precision": 0.1}),
+    ],
+)
+def test_a_run_goes_on_with_other_limits_from_where_the_old_ones_ended_it(
+    system, begun, wanted, monkeypatch
 ):
-    """Each stage takes ten seconds of the clock at least; a minute is over after few of them."""
-    monkeypatch.setattr(method, "time", Slow(10.0))
-    whole = experiment(*system, seed=3, precision=0.02, max_minutes=1.0, chains=0)
-    state, results = stepped_through(whole.method, whole.problem)
-    assert len(results) <= 7
-    found = whole.method.estimate(state)
-    assert found.probability == pytest.approx(toy_probability_by_recursion(*system), rel=0.6)
-
-    monkeypatch.setattr(method, "time", Slow(0.001))
-    left = {
-        result.stage: FinishedStage(result.scored, result.kept, result.sampled)
-        for result in results[:-1]
-    }
-    problem = replace(whole.problem, finished=lambda _, stage: left.get(stage))
-    again, _ = stepped_through(whole.method, problem)
-    assert whole.method.estimate(again) == found
+    """Nothing that was simulated is lost; stopped again at any stage it gives the same."""
+    asked = {"precision": 0.1} | begun
+    first, clock = slow(system, monkeypatch, **asked)
+    _, results = stepped_through(first.method, first.problem)
+    took_s = clock.now_s
+    second, clock = slow(system, monkeypatch, **(asked | wanted))
+    state, longer = stepped_through(second.method, restoring(second, results))
+    found, exact = second.method.estimate(state), toy_probability_by_recursion(*system)
+    assert found.probability == pytest.approx(exact, rel=0.3)
+    assert found.relative_half_width < 1.3 * 0.1
+    assert [each.stage for each in longer] == list(range(len(longer)))
+    for before, after in zip(results, longer, strict=False):
+        assert before.scored.rollouts is after.scored.rollouts
+    simulated = sum(each.count for each in longer[len(results) :])
+    assert clock.now_s == pytest.approx(0.1 * simulated)
+    assert found.rollouts_simulated == sum(each.count for each in longer)
+    assert took_s + clock.now_s < 60.0 * 20.0
+    for stops in range(len(results), len(longer)):
+        again, _ = stepped_through(second.method, restoring(second, longer[:stops]))
+        assert second.method.estimate(again) == found
 
 
 def test_time_that_is_over_before_anything_violates_leaves_the_counts_upper_bound(monkeypatch):
-    monkeypatch.setattr(method, "time", Slow(10.0))
-    result = run(experiment(*RARE, seed=3, max_minutes=0.1))
+    slowly, clock = slow(RARE, monkeypatch, max_minutes=0.1)
+    result = run(slowly)
+    assert clock.now_s < 7.5  # looked at each twentieth of the first stage
     found = result.estimate
     assert found.method == "monte-carlo"
     assert "no interval, 20 % were requested, and stopped by max_minutes 0.1" in summary_text(

@@ -58,8 +58,14 @@ def _with_budget(config: ExperimentConfig, rollouts: int) -> ExperimentConfig:
     return replace(with_learning_budget(config, rollouts), max_rollouts=rollouts)
 
 
+def _most_s(config: ExperimentConfig) -> float:
+    """Seconds that each repetition may take."""
+    minutes = math.inf if config.max_minutes is None else config.max_minutes
+    return 60.0 * minutes / config.repetitions
+
+
 def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
-    from pemviz.sampling.auto.method import AutoSampling  # noqa: PLC0415  slow to import
+    from pemviz.sampling.auto.method import AutoSampling, Limits  # noqa: PLC0415  slow to import
     from pemviz.sampling.mixture.build import mixture_of  # noqa: PLC0415  as above
     from pemviz.simulators.episodic import episodic  # noqa: PLC0415  slow to import
 
@@ -77,9 +83,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
         first=max(int(PLAIN_SHARE * begins_with), 2),
         most_looked_at=LOOKED_AT * budget,
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
-        most=most,
-        precision=config.precision,
-        most_s=math.inf if config.max_minutes is None else 60.0 * config.max_minutes,
+        limits=Limits(config.precision, most, _most_s(config)),
     )
 
 

@@ -18,14 +18,17 @@ as far as rollouts are left; but not from one so large that it comes in parts. T
 agree with the plain count.
 
 What is chosen follows from counts alone, so that the same seed gives the same answer on every
-machine, unless a time is set. Then what the stages took is kept beside their rollouts, and a run
-that goes on from them decides as it would have.
+machine, unless a time is set. Then plain rollouts are cut off when it is over, and what proposals
+sample is planned by what rollouts took so far. What the stages took, and the limits that they were
+chosen under, are kept beside their rollouts: a run that goes on from them decides as it would have,
+and one that goes on with other limits decides by these from where the old ones ended it.
 """
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.special import ndtri
@@ -58,8 +61,37 @@ CHECKED_SHARE = 0.2
 """Of the rollouts that chains took, sampled at least in the last stage: they cost little beside."""
 PLAIN_CONFIDENCE = 0.999
 """Of the plain count's interval, in which the answer is to lie."""
-SECONDS = "seconds"
-"""What each stage took, where a time is set."""
+SECONDS, LIMITS = "seconds", "limits"
+"""What each stage took, where a time is set, and the limits that it was chosen under."""
+FEWEST_STAGES = 3
+"""Of proposals, at least: one explores, one learns, one counts."""
+FEWEST_ROLLOUTS = 60
+"""Of each of these, below which nothing is learned; what time is left for no more counts plain
+rollouts."""
+CHAINS_COST = 30
+"""Times the rollouts a level that chains take, about."""
+LOOKS = 20
+"""At the clock, in a stage of plain rollouts."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an answer is to be, and may take.
+
+    Attributes:
+        precision: Wanted half-width of the 95 % interval, as a share of the answer.
+        most: Rollouts at most that proposals draw.
+        most_s: Seconds at most.
+    """
+
+    precision: float
+    most: int
+    most_s: float = math.inf
+
+    @property
+    def kept(self) -> FloatArray:
+        """As they are kept beside a stage, ``[3]``."""
+        return np.array([self.precision, self.most, self.most_s])
 
 
 @dataclass(frozen=True)
@@ -86,6 +118,14 @@ class Proposing:
 
 
 @dataclass(frozen=True)
+class Took:
+    """A stage's rollouts, and how long it took [s]."""
+
+    count: int
+    seconds: float
+
+
+@dataclass(frozen=True)
 class AutoState:
     """Where a repetition stands.
 
@@ -95,7 +135,7 @@ class AutoState:
         sizes: Of the plain stages that are the answer; empty where they are not, or not yet.
         first_counted: Which of the plain stages is the first of these.
         proposing: Where the method of proposals stands; ``None`` before it begins.
-        seconds: What each stage took, where a time is set.
+        took: What each stage took.
     """
 
     repetition: int
@@ -103,7 +143,12 @@ class AutoState:
     sizes: tuple[int, ...] = ()
     first_counted: int = 0
     proposing: Proposing | None = None
-    seconds: tuple[float, ...] = ()
+    took: tuple[Took, ...] = ()
+
+    @property
+    def stage(self) -> int:
+        """Which comes next."""
+        return len(self.took)
 
     @property
     def counted(self) -> WeighedRollouts:
@@ -122,18 +167,14 @@ class AutoSampling:
         first: Plain rollouts of the first stage.
         most_looked_at: Plain rollouts at most until it is known whether they are the answer.
         most_plain: So many at most, if they are to be the answer.
-        most: Rollouts at most that proposals draw.
-        precision: Wanted half-width of the 95 % interval, as a share of the answer.
-        most_s: Seconds at most; looked at between stages, the last of which is sampled after all.
+        limits: How precise the answer is to be, and what it may take.
     """
 
     mixture: MixtureSampling
     first: int
     most_looked_at: int
     most_plain: int
-    most: int
-    precision: float
-    most_s: float = math.inf
+    limits: Limits
     name: str = "auto"
 
     @property
@@ -147,44 +188,90 @@ class AutoSampling:
 
     def step(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
         """The next plain rollouts, or the next stage of proposals."""
-        began, known = time.perf_counter(), list[float]()
+        began, left = time.perf_counter(), dict[str, AnyArray]()
 
         def finished(repetition: int, stage: int) -> FinishedStage | None:
             found = problem.finished(repetition, stage)
-            if found is not None and SECONDS in found.kept:
-                known.append(float(found.kept[SECONDS]))
+            if found is not None:
+                left.update(found.kept)
             return found
 
-        watched = replace(problem, finished=finished)
+        watched, stage = replace(problem, finished=finished), state.stage
         proposing = state.proposing
         if proposing is None:
-            state, result = self._plain_step(watched, state)
+            state, result = self._plain_step(watched, state, began_s=began)
         else:
             state, result = _proposing_step(watched, state, proposing)
-        if math.isfinite(self.most_s):
-            took_s = known[0] if known else time.perf_counter() - began
-            state = replace(state, seconds=(*state.seconds, took_s))
-            result = replace(result, kept={**result.kept, SECONDS: np.array(took_s)})
+        took_s = float(left.get(SECONDS, np.array(time.perf_counter() - began)))
+        limits = left.get(LIMITS, self.limits.kept)
+        state = replace(state, took=(*state.took, Took(result.count, took_s)))
+        timed = {SECONDS: np.array(took_s)} if math.isfinite(limits[-1]) else {}
+        result = replace(result, kept={**result.kept, LIMITS: limits, **timed})
+        following = problem.finished(state.repetition, stage + 1)
+        decided_by = self.limits.kept if following is None else following.kept.get(LIMITS, limits)
+        deciding = self if following is None else self._under(decided_by)
+        goes_on = not np.array_equal(limits, decided_by)
+        return deciding._chosen(problem, state, result, proposing=proposing, goes_on=goes_on)
+
+    def _under(self, kept: AnyArray) -> Self:
+        """Under the limits that are kept beside a stage."""
+        precision, most, most_s = kept.tolist()
+        return replace(self, limits=Limits(precision, int(most), most_s))
+
+    def _chosen(
+        self,
+        problem: Problem,
+        state: AutoState,
+        result: StageResult,
+        *,
+        proposing: Proposing | None,
+        goes_on: bool,
+    ) -> tuple[AutoState, StageResult]:
+        """What comes after a stage, before which proposals stood at ``proposing``.
+
+        ``goes_on`` tells that the stage was chosen under other limits than what comes next.
+        """
         if state.proposing is not None:
             if proposing is not None and self.is_done(state):
-                return self._reconsidered(state, proposing.state, state.proposing, result)
+                return self._reconsidered(
+                    state, proposing.state, state.proposing, result, goes_on=goes_on
+                )
             return self._with_next_stages(state, state.proposing), result
-        if not state.sizes or self._left_s(state) <= 0.0:
+        if not state.sizes or goes_on or self._left_s(state) <= 0.0:
             state = self._decided(problem, state)
         return state, result if state.sizes else replace(result, kind="pretrain")
 
     def _left_s(self, state: AutoState) -> float:
-        return self.most_s - sum(state.seconds)
+        return self.limits.most_s - sum(stage.seconds for stage in state.took)
 
-    def _plain_step(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
-        stage = len(state.plain)
+    def _within_s(self, state: AutoState) -> float:
+        """Rollouts that the time left is enough for, by what those of the last stage took."""
+        last, proposing = state.took[-1], state.proposing
+        count, explored = last.count, None if proposing is None else proposing.state.explored
+        if explored is not None and state.stage == len(state.plain) + 1:  # chains came with it
+            count += explored.simulated
+        return self._left_s(state) * count / max(last.seconds, 1e-9)
+
+    def _plain_step(
+        self, problem: Problem, state: AutoState, *, began_s: float
+    ) -> tuple[AutoState, StageResult]:
+        stage, over_s = len(state.plain), began_s + self._left_s(state)
         seeds = stage_seeds(
             seed=self.mixture.seed, repetition=state.repetition, stage=FIRST_STAGE + stage
         )
         watched, size = stages.watching(problem), self._next_plain(problem, state)
+        if math.isfinite(over_s):
+            few = max(size // LOOKS, 1)
+            watched = replace(watched, batch_rollouts=min(few, problem.batch_rollouts))
         scored = finished_or(
             problem,
-            lambda: sample(watched, proposal=PemProposal(), count=size, seeds=seeds),
+            lambda: sample(
+                watched,
+                proposal=PemProposal(),
+                count=size,
+                seeds=seeds,
+                is_over=lambda: time.perf_counter() >= over_s,
+            ),
             repetition=state.repetition,
             stage=stage,
         )
@@ -207,32 +294,42 @@ class AutoSampling:
 
     def _decided(self, problem: Problem, state: AutoState) -> AutoState:
         """After plain rollouts: more to see their share, all that a count takes, or proposals."""
+        # those that were looked at last are the first that count
+        first = state.first_counted if state.sizes else len(state.plain) - 1
+        done = [part.weighed.count for part in state.plain[first:]]
+        counting = replace(state, sizes=tuple(done), first_counted=first)
         if self._left_s(state) <= 0.0:
-            first = state.first_counted if state.sizes else len(state.plain) - 1
-            counted = [part.weighed.count for part in state.plain[first:]]
-            return replace(state, sizes=tuple(counted), first_counted=first)
+            return counting
         so_far = state.counted
         failures, count = _fewest_failures(problem, so_far), so_far.count
         if 0 < failures < FEW_FAILURES and count < self.most_looked_at:
-            return state
+            return replace(state, sizes=(), first_counted=0)
         wanted = math.inf
         if failures >= FEW_FAILURES:
             share, errors = failures / count, float(ndtri(0.5 + CONFIDENCE / 2.0))
-            wanted = math.ceil((errors / self.precision) ** 2 * (1.0 - share) / share)
-        within_s = self._left_s(state) * count / max(sum(state.seconds), 1e-9)
-        if wanted <= min(self.most_plain, within_s):
-            # those that were looked at last are the first that count
-            last = state.plain[-1].weighed.count
-            more = int(wanted) - last
-            parts = part_sizes(more, largest=self.mixture.largest_part) if more > 0 else ()
-            return replace(state, sizes=(last, *parts), first_counted=len(state.plain) - 1)
+            wanted = math.ceil((errors / self.limits.precision) ** 2 * (1.0 - share) / share)
+        within = self._within_s(state)
+        if wanted > min(self.most_plain, within):
+            if within >= FEWEST_STAGES * FEWEST_ROLLOUTS:
+                return self._begun(problem, replace(state, sizes=(), first_counted=0), within)
+            wanted = sum(done) + within
+        more = int(wanted) - sum(done)
+        parts = part_sizes(more, largest=self.mixture.largest_part) if more > 0 else ()
+        return replace(counting, sizes=(*done, *parts))
+
+    def _begun(self, problem: Problem, state: AutoState, within: float) -> AutoState:
+        """With proposals, for whose stages the time left is enough."""
         counts = [part.weighed.count for part in state.plain]
         firsts = np.cumsum([0, *counts])[:-1].tolist()
         row = np.concatenate([p.row + first for p, first in zip(state.plain, firsts, strict=True)])
         chosen = ScoredRollouts.concatenate([part.chosen for part in state.plain])
-        plain = PlainRollouts(count, row, chosen)
-        begun = self.mixture.init(problem, repetition=state.repetition, plain=plain)
-        return replace(state, proposing=Proposing(self.mixture, begun))
+        plain, method = PlainRollouts(sum(counts), row, chosen), self.mixture
+        if within < FEWEST_STAGES * method.rollouts:
+            method = replace(method, rollouts=int(within) // FEWEST_STAGES)
+        if within < 2 * CHAINS_COST * method.chains:
+            method = replace(method, chains=0)
+        begun = method.init(problem, repetition=state.repetition, plain=plain)
+        return replace(state, proposing=Proposing(method, begun))
 
     def _with_next_stages(self, state: AutoState, proposing: Proposing) -> AutoState:
         """With as many stages and rollouts as the answer so far, and the time left, ask for."""
@@ -245,7 +342,7 @@ class AutoSampling:
             method = replace(method, learning_stages=stages)  # as without one
         if inner.stage == method.learning_stages + 1:
             method = self._gone_on(state, method, inner)
-        elif state.seconds and self._left_s(state) < 2.0 * state.seconds[-1]:
+        elif self._within_s(state) < 2.0 * method.rollouts:
             # what is learned from next is the last, as the stage that counts needs time too
             method = replace(method, learning_stages=max(inner.stage, 1))
         return replace(state, proposing=replace(proposing, method=method))
@@ -268,27 +365,45 @@ class AutoSampling:
         half = max(each.relative_half_width for each in found)
         if not math.isfinite(half):
             return replace(method, final_rollouts=least)
-        wanted = drawn * ((MARGIN * half / self.precision) ** 2 - 1.0)
+        wanted = self._wanted(drawn, half)
         if inner.explored is not None:
             wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
         return replace(method, final_rollouts=max(int(min(wanted, left)), least))
 
+    def _wanted(self, drawn: int, half: float) -> float:
+        """Rollouts beside those that were drawn, which give the half-width ``half``."""
+        return drawn * ((MARGIN * half / self.limits.precision) ** 2 - 1.0)
+
     def _reconsidered(
-        self, state: AutoState, before: MixtureState, proposing: Proposing, result: StageResult
+        self,
+        state: AutoState,
+        before: MixtureState,
+        proposing: Proposing,
+        result: StageResult,
+        *,
+        goes_on: bool,
     ) -> tuple[AutoState, StageResult]:
-        """After the last stage: learned from as well, if it shows what undermines the answer."""
+        """After the last stage: learned from as well, if it shows what undermines the answer.
+
+        Or, where the run goes on under other limits, if the answer is less precise than these ask.
+        """
         method, inner = proposing.method, proposing.state
         found = _precise_answers(
             inner.rules, lambda rule: self.estimate(self.under_rule(state, rule) if rule else state)
         )
-        if len(inner.frozen) > 1 or not self._is_far(found):
+        half = max(each.relative_half_width for each in found)
+        far = self._is_far(found)
+        if len(inner.frozen) > 1 or not (far or (goes_on and half > self.limits.precision)):
             return state, result
-        _, left, least = self._counts(state, method, inner)
-        longer = self._longer(method, left=left, least=least)
+        drawn, left, least = self._counts(state, method, inner)
+        longer, final = self._longer(method, left=left, least=least) if far else None, least
         if longer is None:
-            return state, result
+            if not goes_on or left < least:
+                return state, result
+            wanted = self._wanted(drawn, half)
+            longer, final = method, max(int(min(wanted, left)), least)
         # what was the last stage is one of those that learn
-        longer = replace(longer, learning_stages=longer.learning_stages + 1, final_rollouts=least)
+        longer = replace(longer, learning_stages=longer.learning_stages + 1, final_rollouts=final)
         inner, result = longer.learned_from_last(before, inner, result)
         return replace(state, proposing=Proposing(longer, inner)), result
 
@@ -299,10 +414,10 @@ class AutoSampling:
         pool = inner.pool
         plain = 0 if inner.before is None else inner.before.count
         drawn = 0 if pool is None else pool.sampled - plain
-        left, least = self.most - drawn, self.mixture.final_rollouts
-        if state.seconds:
-            within_s = method.rollouts * self._left_s(state) / max(state.seconds[-1], 1e-9)
-            left = min(left, max(int(within_s), method.rollouts))
+        left, least = self.limits.most - drawn, self.mixture.final_rollouts
+        within = self._within_s(state)
+        if math.isfinite(within):
+            left = min(left, max(int(within), FEWEST_ROLLOUTS))
             least = min(least, left)
         return drawn, left, least
 
@@ -310,7 +425,7 @@ class AutoSampling:
         """Whether an answer asks for more to learn from, not only to count."""
         return any(
             undermining(each.diagnostics, basis="weights")
-            or each.relative_half_width > FAR_FACTOR * self.precision
+            or each.relative_half_width > FAR_FACTOR * self.limits.precision
             for each in found
         )
 
