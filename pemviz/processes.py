@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -34,6 +35,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 DIED = "worker process died: killed, or the machine is out of memory"
+KILLED = 9
+"""The signal by which the system, out of memory, ends a process, and a pool the rest of its own."""
 POLL_S = 0.2
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
@@ -183,10 +186,17 @@ class ProcessPool:
                 self._executor.submit(int)
         return future
 
-    def renew(self) -> None:
-        """End all processes; others are started when they are needed."""
+    def renew(self) -> str:
+        """End all processes; others are started when they are needed.
+
+        Returns:
+            How one had ended by itself; empty where none had, or was killed.
+        """
+        codes = [process.exitcode for process in self._processes]
         self.close()
         self._start_afresh()
+        own = [code for code in codes if code is not None and code != -KILLED]
+        return _ending(own[0]) if own else ""
 
     def retire(self) -> None:
         """Let processes finish what they are at and end; others are started for what comes next.
@@ -217,6 +227,15 @@ class ProcessPool:
 def _called(call: bytes) -> Any:
     function, arguments, named = cast(Any, ForkingPickler).loads(call)
     return function(*arguments, **named)
+
+
+def can_be_sent(*things: object) -> bool:
+    """Whether another process can have these."""
+    try:
+        ForkingPickler.dumps(things)
+    except Exception:  # anything, as theirs may raise
+        return False
+    return True
 
 
 class ProcessLostError(Exception):
@@ -281,6 +300,26 @@ def _tell_all(call: bytes, writer: Connection) -> None:
 
     function(tell, *arguments)
     writer.send(None)
+
+
+@contextlib.contextmanager
+def ending_told(words: str) -> Generator[None, None, None]:
+    """Have ``words`` on standard error if this process ends meanwhile without saying so.
+
+    As other people's code can end it, or the system that is out of memory.
+    """
+    shell = shutil.which("sh")
+    if shell is None:  # as on Windows
+        yield
+        return
+    command = [shell, "-c", 'read -r over || printf "%s\\n" "$0" >&2', words]
+    # our own words, as an argument
+    with subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True) as waiting:  # noqa: S603
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # somebody ended it
+                waiting.communicate(b"over\n")
 
 
 def _ending(exit_code: int) -> str:

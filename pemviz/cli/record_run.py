@@ -12,17 +12,18 @@ from pemviz.cli.record_arguments import RecordArguments
 from pemviz.config import LIMITS, ExperimentConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
+from pemviz.processes import ending_told
 from pemviz.reports.gate import decide_limits
 from pemviz.reports.pipeline import ReportWriter
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.events import Event, Observer, RunDone, RunFailed
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.progress import progress_observer
-from pemviz.runs.reading import result_left
+from pemviz.runs.reading import CONFIG, result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
 from pemviz.runs.run_folder import carry_out, create_run_folder, may_go_on
-from pemviz.runs.workers import check_workers, no_use
+from pemviz.runs.workers import check_workers, no_use, own_process
 from pemviz.sampling.registry import by_name
 
 
@@ -39,7 +40,8 @@ def record(arguments: RecordArguments) -> int:
     left = None if arguments.source.resume is None else result_left(arguments.source.resume)
     if left is not None and left.status == "done" and not _goes_on(arguments, left):
         return _report_done(arguments, left, reports=reports)
-    experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
+    with ending_told("pemviz: ended by what was to be simulated, or killed; nothing was simulated"):
+        experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     for note in (*arguments.notes, *_own_process_notes(arguments, experiment)):
         print(f"pemviz: {note}", file=sys.stderr)
@@ -94,7 +96,7 @@ def _goes_on(arguments: RecordArguments, result: RunResult) -> bool:
 def _own_process_notes(arguments: RecordArguments, experiment: Experiment) -> Sequence[str]:
     """What cannot be lost without the run, where this process simulates alone."""
     lost, elsewhere = experiment.config.lost, arguments.workers or arguments.scheduler
-    if lost == "end" or elsewhere or no_use(experiment):
+    if lost == "end" or elsewhere or no_use(experiment) or own_process(experiment):
         return ()
     words = "what the simulator raises is survived; where it may abort or stall, add --workers 1"
     return (f"lost = {lost}: {words}",)
@@ -108,7 +110,12 @@ def _carry_out(
     observers: Sequence[Observer],
 ) -> RunResult:
     """Run it with progress, until a signal asks to stop, by workers if there are any."""
+    ended = f"pemviz: ended by what is simulated, or killed; {_left(arguments, folder)}"
+    workers = arguments.workers
+    if workers is None and arguments.scheduler is None:
+        workers = own_process(experiment)
     with (
+        ending_told(ended),
         stop_on_signals() as should_stop,
         progress_observer(quiet=arguments.json) as progress,
     ):
@@ -118,7 +125,7 @@ def _carry_out(
             recorders=_recorders(arguments, folder),
             observers=[progress, *observers],
             should_stop=should_stop,
-            workers=arguments.workers,
+            workers=workers,
             scheduler=arguments.scheduler,
         )
 
@@ -136,7 +143,7 @@ class _Ending:
 
 def _how_to_repeat(error: RunError, arguments: RecordArguments, folder: Path) -> str:
     """The command that repeats the rollout at which a run failed; empty where it is not known."""
-    if error.rollout is None or not (folder / "config.toml").exists():
+    if error.rollout is None or not (folder / CONFIG).exists():
         return ""
     repetition, stage, rollout = error.rollout
     words = ["pemviz", "replay", str(folder), "--stage", f"{stage}", "--rollout", f"{rollout}"]
@@ -147,8 +154,10 @@ def _how_to_repeat(error: RunError, arguments: RecordArguments, folder: Path) ->
 
 def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:
     """Where a run that failed is, and the command that goes on with it."""
-    if not (folder / "config.toml").exists():
-        return f"nothing is in {folder}"
+    return _left(arguments, folder) if (folder / CONFIG).exists() else f"nothing is in {folder}"
+
+
+def _left(arguments: RecordArguments, folder: Path) -> str:
     return (
         f"what was finished is in {folder}; once the cause is removed, go on with: "
         f"{_resuming(arguments, folder)}"

@@ -24,7 +24,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
 from pemviz.runs.run_folder import carry_out, create_run_folder
-from pemviz.runs.workers import no_use
+from pemviz.runs.workers import no_use, own_process
 from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of
@@ -290,6 +290,8 @@ class Controller:
         own = own_scenario(experiment.declared, experiment.config)
         helps = not no_use(experiment)
         by: Any = {"workers": self._workers, "scheduler": self._scheduler} if helps else {}
+        if self._workers is None and self._scheduler is None:
+            by = {"workers": own_process(experiment)}
         words = "" if self._workers is None else f"by {self._workers} processes"
         words = words if self._scheduler is None else "on a cluster"
         watched: Any = {"publish": self._publish, "own": own, "workers": words if helps else ""}

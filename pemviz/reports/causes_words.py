@@ -61,7 +61,7 @@ def burst_lines(explanation: Explanation) -> list[str]:
         chance = f", which has the probability {_probability(likely)} by itself"
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
-            f"{frames:.0f} frames ({frames * bursts.dt_s:.2f} s) from {begins} on"
+            f"{frames:.0f} frame{'s' * (round(frames) != 1)} ({frames * bursts.dt_s:.2f} s) from {begins} on"
             f"{'' if likely > CERTAINLY else chance}"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]

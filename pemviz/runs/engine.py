@@ -123,9 +123,14 @@ def run(
             is its cause, SystemExit and KeyboardInterrupt included.
         KeyboardInterrupt: A signal's; the run has stopped.
     """
+
+    def pause() -> None:
+        if should_stop():
+            raise faults.StopRequested
+
     with (
         _shown(progress) as shown,
-        with_workers(experiment, workers=workers, scheduler=scheduler) as worked,
+        with_workers(experiment, workers=workers, scheduler=scheduler, pause=pause) as worked,
     ):
         return _run(_Runner(worked, run_id, [*shown, *observers], should_stop))
 

@@ -67,7 +67,7 @@ def counted_in_words(done: int, planned: int, *, by_level: bool) -> str:
 class ProgressLines:
     """Observer that prints a line where a quarter of the stages is done, or of the repetitions.
 
-    What takes long is told of more often: at least once in :data:`SILENT_S`, if a stage ends.
+    What takes long is told of more often: once in :data:`SILENT_S`, if a batch of rollouts ends.
     """
 
     def __init__(self, console: Console) -> None:
@@ -81,6 +81,9 @@ class ProgressLines:
         match event:
             case RunStarted():
                 self._repetitions, self._stages = event.config.repetitions, event.stages
+            case RolloutsDone() if event.done < event.total and self._is_silent():
+                of = f", repetition {event.repetition + 1}" if self._repetitions > 1 else ""
+                self._print(f"stage {event.stage}{of}: {event.done} of {event.total} rollouts")
             case StageDone() if self._repetitions == 1:
                 if self._is_due(event.stage.stage, self._stages):
                     self._print(stage_line(summarise_stage(event.stage), repetitions=1))
@@ -94,7 +97,10 @@ class ProgressLines:
     def _is_due(self, place: int, count: int) -> bool:
         """Whether a quarter more is done, or nothing was told for long."""
         quarter = (place + 1) * QUARTERS // count > place * QUARTERS // count
-        return quarter or time.monotonic() - self._reported_s > SILENT_S
+        return quarter or self._is_silent()
+
+    def _is_silent(self) -> bool:
+        return time.monotonic() - self._reported_s > SILENT_S
 
     def _print(self, text: str) -> None:
         self._reported_s = time.monotonic()

@@ -1,13 +1,13 @@
 """Who simulates a run's rollouts: this process, several of this machine, or a cluster."""
 
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 
 from pemviz.cluster import cluster_pool
 from pemviz.errors import ConfigError
-from pemviz.processes import ProcessPool
+from pemviz.processes import ProcessPool, can_be_sent
 from pemviz.runs.experiment import Experiment
 from pemviz.sampling.rollouts.pooled import PooledRunner
 
@@ -52,11 +52,28 @@ def no_use(experiment: Experiment) -> str:
     return ""
 
 
+def own_process(experiment: Experiment) -> int | None:
+    """One worker, where other people's simulator can be kept out of this process; else ``None``.
+
+    What it does there, an abort included, is survived.
+    """
+    problem = experiment.problem
+    if not experiment.is_own_system or no_use(experiment):
+        return None
+    return 1 if can_be_sent(problem.simulator, problem.pem) else None
+
+
 @contextmanager
 def with_workers(
-    experiment: Experiment, *, workers: int | None, scheduler: str | None
+    experiment: Experiment,
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    pause: Callable[[], None] = lambda: None,
 ) -> Generator[Experiment, None, None]:
     """Yield the experiment with its rollouts simulated by these; what died is told on stderr.
+
+    ``pause`` is called now and then while they are waited for, and may raise.
 
     Raises:
         ConfigError: These could not help, see :func:`check_workers`, or the cluster cannot be used.
@@ -65,9 +82,10 @@ def with_workers(
     limit_s, loses = experiment.problem.step_time_limit_s, experiment.config.lost != "end"
     if scheduler is not None:
         with cluster_pool(scheduler) as (submit, count):
-            runner = PooledRunner(submit, count, limit_s=limit_s, loses=loses)
+            runner = PooledRunner(submit, count, limit_s=limit_s, pause=pause, loses=loses)
             yield _simulated_by(experiment, runner)
-    elif workers is not None and (workers > 1 or loses):  # one too outlives what this would not
+    # one too outlives what this process would not
+    elif workers is not None and (workers > 1 or loses or experiment.is_own_system):
         with ProcessPool(workers) as pool:
             runner = PooledRunner(
                 pool.submit,
@@ -75,6 +93,7 @@ def with_workers(
                 renew=pool.renew,
                 retire=pool.retire,
                 limit_s=limit_s,
+                pause=pause,
                 loses=loses,
             )
             yield _simulated_by(experiment, runner)

@@ -1,6 +1,7 @@
 """What a method is asked to solve: scenario, error model, specification, metric."""
 
 import itertools
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.config import LostName
 from pemviz.faults import SimulationError, counted_from
-from pemviz.heartbeat import StalledError, watched
+from pemviz.heartbeat import SILENT_S, StalledError, watched
 from pemviz.pem.models.protocol import Pem
 from pemviz.sampling.rollouts.losing import lost_at, lost_rows
 from pemviz.sampling.rollouts.pooled import PooledRunner
@@ -39,6 +40,7 @@ from pemviz.types import (
     StateBatch,
 )
 
+LOG = logging.getLogger(__name__)
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
@@ -251,12 +253,16 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
     limit_s = problem.step_time_limit_s
     if limit_s is None or isinstance(problem.run_batches, PooledRunner):
         return simulate()
+    limit, name = f"step_time_limit_s = {limit_s:g}", problem.simulator.name
+
+    def tell() -> None:
+        LOG.warning("simulator %s: a step has taken %g s so far; %s", name, SILENT_S, limit)
+
     try:
-        return watched(simulate, limit_s=limit_s)
+        return watched(simulate, limit_s=limit_s, pause=problem.pause, on_silence=tell)
     except StalledError as error:
-        limit = f"step_time_limit_s = {limit_s:g}"
-        what = f"simulator {problem.simulator.name}: a step took longer than {limit}"
-        raise SimulationError(what, why="a run goes on with another limit too") from error
+        what = f"simulator {name}: a step took longer than {limit}"
+        raise SimulationError(what, why="a run may be resumed with a larger one") from error
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

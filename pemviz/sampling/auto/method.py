@@ -355,7 +355,7 @@ class AutoSampling:
             inner.rules,
             lambda rule: method.preview(method.under_rule(inner, rule) if rule else inner),
         )
-        drawn, left, least = self._counts(state, method, inner)
+        drawn, left, least = self._counts(state, inner)
         # what is hard to learn takes more rollouts than a first answer shows
         barely_learned = inner.is_hard_to_learn and method.rollouts == self.mixture.rollouts
         if barely_learned or self._is_far(found):
@@ -395,7 +395,7 @@ class AutoSampling:
         far = self._is_far(found)
         if len(inner.frozen) > 1 or not (far or (goes_on and half > self.limits.precision)):
             return state, result
-        drawn, left, least = self._counts(state, method, inner)
+        drawn, left, least = self._counts(state, inner)
         longer, final = self._longer(method, left=left, least=least) if far else None, least
         if longer is None:
             if not goes_on or left < least:
@@ -407,9 +407,7 @@ class AutoSampling:
         inner, result = longer.learned_from_last(before, inner, result)
         return replace(state, proposing=Proposing(longer, inner)), result
 
-    def _counts(
-        self, state: AutoState, method: MixtureSampling, inner: MixtureState
-    ) -> tuple[int, int, int]:
+    def _counts(self, state: AutoState, inner: MixtureState) -> tuple[int, int, int]:
         """Rollouts that proposals have drawn, that are left, and the last stage's at least."""
         pool = inner.pool
         plain = 0 if inner.before is None else inner.before.count

@@ -2,18 +2,20 @@
 
 import contextlib
 import itertools
+import logging
 import math
 import os
 import statistics
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Future, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from pemviz.cluster import worker_was_killed
 from pemviz.faults import SimulationError, counted_from
+from pemviz.heartbeat import POLL_S, SILENT_S
 from pemviz.pem.models.protocol import Pem
 from pemviz.processes import DIED, machine_bytes, resident_bytes
 from pemviz.sampling.rollouts.apart import simulate_apart
@@ -21,6 +23,7 @@ from pemviz.sampling.rollouts.losing import marked, without_the_rest
 from pemviz.sampling.rollouts.runners import BatchTask, by_numpy
 from pemviz.types import RolloutBatch, Simulator
 
+LOG = logging.getLogger(__name__)
 AHEAD_S = 30.0
 """Work that is handed in ahead, for each worker, so that none waits for the slowest of a batch."""
 MOST_AHEAD, SLOW_S = 20_000, 0.005
@@ -83,10 +86,11 @@ class PooledRunner:
         submit: Takes a function and its arguments, all of which can be pickled, to a worker,
             as :meth:`concurrent.futures.Executor.submit` does.
         workers: How many there are.
-        renew: Ends all workers and starts others, where one is lost; ``None``: what submits sees
-            to it itself.
+        renew: Ends all workers and starts others, where one is lost, and tells how that ended, as
+            far as it is known; ``None``: what submits sees to it itself.
         retire: Starts others for what comes next, where workers grow; ``None``: they may.
         limit_s: A worker that a piece has waited for so long is lost [s]; ``None``: never.
+        pause: Called several times a second while a worker is waited for; what it raises ends that.
         loses: Whether a rollout that cannot be simulated is kept as far as it came, in place of a
             fault; see :mod:`pemviz.sampling.rollouts.losing`.
         lost: How many workers were lost so far.
@@ -95,9 +99,10 @@ class PooledRunner:
 
     submit: Callable[..., Future[Any]]
     workers: int
-    renew: Callable[[], None] | None = None
+    renew: Callable[[], str] | None = None
     retire: Callable[[], None] | None = None
     limit_s: float | None = None
+    pause: Callable[[], None] = lambda: None
     loses: bool = False
     lost: int = field(default=0, init=False)
     retired: int = field(default=0, init=False)
@@ -158,12 +163,24 @@ class PooledRunner:
 
     def _wait_for_half(self, futures: Sequence[Future[Simulated]]) -> None:
         """For half of single rollouts, which may differ; the others go on."""
-        with contextlib.suppress(TimeoutError):
-            for future in as_completed(futures, timeout=self.limit_s):
-                if future.exception() is None:
-                    self._took_s.append(future.result().took_s)
-                if 2 * len(self._took_s) >= len(futures):
-                    break
+        enough = (len(futures) + 1) // 2
+        self._wait(lambda: sum(future.done() for future in futures) >= enough, futures)
+        done = [future for future in futures if future.done()]
+        self._took_s += [each.result().took_s for each in done if each.exception() is None]
+
+    def _wait(self, is_over: Callable[[], bool], futures: Sequence[Future[Simulated]]) -> None:
+        """Until something is over, but no longer than a piece may take."""
+        end_s = time.monotonic() + (math.inf if self.limit_s is None else self.limit_s)
+        silent_s = time.monotonic() + SILENT_S
+        while not is_over() and (left_s := end_s - time.monotonic()) > 0.0:
+            self.pause()
+            wait(
+                [each for each in futures if not each.done()], min(POLL_S, left_s), FIRST_COMPLETED
+            )
+            if time.monotonic() >= silent_s:
+                limit = "" if self.limit_s is None else f"; step_time_limit_s = {self.limit_s:g}"
+                LOG.warning("nothing has come of a worker for %g s%s", SILENT_S, limit)
+                silent_s = math.inf
 
     def start(self, simulator: Simulator, pem: Pem) -> None:
         """Have a worker there that has imported what it needs, which is no rollout's time."""
@@ -181,7 +198,7 @@ class PooledRunner:
                 simulator, and that is no fault.
             SimulationError: Something raised, or no other workers can be started.
         """
-        wait([future], timeout=self.limit_s)
+        self._wait(future.done, [future])
         if not future.done():
             why = f"one rollout takes longer than step_time_limit_s = {self.limit_s:g}"
             self._replace(LostError(why), what="worker process stalls")
@@ -225,9 +242,9 @@ class PooledRunner:
         self.lost += 1
         if self.renew is None:
             raise SimulationError(f"a {what}", why=str(lost)) from cause
-        self.renew()
+        how = self.renew()
         self._is_new = True
-        raise lost from cause
+        raise LostError(how) if how else lost from cause
 
 
 class _Piece:
