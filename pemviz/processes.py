@@ -192,8 +192,9 @@ class ProcessPool:
         Returns:
             How one had ended by itself; empty where none had, or was killed.
         """
-        codes = [process.exitcode for process in self._processes]
+        processes = self._processes
         self.close()
+        codes = [process.exitcode for process in processes]  # now that nobody else waits for them
         self._start_afresh()
         own = [code for code in codes if code is not None and code != -KILLED]
         return _ending(own[0]) if own else ""

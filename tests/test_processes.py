@@ -10,7 +10,7 @@ from multiprocessing.context import SpawnProcess
 import pytest
 
 from pemviz.errors import RunError
-from pemviz.processes import ONE_THREAD, STOPS, ProcessPool, map_in_processes
+from pemviz.processes import ONE_THREAD, STOPS, ProcessPool, can_be_sent, map_in_processes
 
 
 def slowest_first(value):
@@ -150,3 +150,50 @@ def test_processes_end_when_their_parent_is_killed(tmp_path, request):
         # The child holds the pipe's other end too: the pipe is at its end once both have ended.
         assert parent.stdout.read() == ""
     assert time.monotonic() - began_s < 300.0
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ("os._exit(7)", "the process ended with exit code 7"),
+        ("os._exit(0)", "the process ended with exit code 0"),
+        ("os.abort()", "the process was ended by SIGABRT"),
+        ("os.kill(os.getpid(), 9)", ""),  # as the system does that is out of memory
+    ],
+)
+def test_a_pool_that_is_renewed_tells_how_a_process_had_ended(how, told):
+    with ProcessPool(2) as pool:
+        futures = [pool.submit(exec, f"import os; {how}"), pool.submit(time.sleep, 60.0)]
+        wait(futures)
+        assert all(isinstance(future.exception(), BrokenExecutor) for future in futures)
+        assert pool.renew() == told
+        assert pool.submit(abs, -3).result(timeout=60.0) == 3
+        assert pool.renew() == ""
+
+
+@pytest.mark.parametrize(
+    ("how", "code"),
+    [("os._exit(0)", 0), ("os.kill(os.getpid(), 9)", -9), ("pass", 0), ("1 / 0", 1)],
+)
+def test_the_end_of_a_process_is_told_where_it_does_not_tell_itself(how, code):
+    words = "gone; it's in `run` $HOME 100%"
+    script = (
+        f"import os\nfrom pemviz.processes import ending_told\nwith ending_told({words!r}): {how}"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == code
+    last = ended.stderr.splitlines()[-1:]
+    assert last == {"pass": [], "1 / 0": ["ZeroDivisionError: division by zero"]}.get(how, [words])
+
+
+def test_what_another_process_can_have():
+    assert can_be_sent(1.5, "words", slowest_first)
+    assert not can_be_sent(lambda: 0)
+    assert not can_be_sent(LeavesOnlyWithAnError())
+
+
+class LeavesOnlyWithAnError:
+    def __reduce__(self):
+        raise ValueError("never")

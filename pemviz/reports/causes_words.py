@@ -56,12 +56,13 @@ def burst_lines(explanation: Explanation) -> list[str]:
     bursts, lines = explanation.bursts, list[str]()
     if bursts is not None:
         frames, at = bursts.frames.median, bursts.begins_gap_m
+        unit = "frame" if round(frames) == 1 else "frames"
         begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
         likely = bursts.start if bursts.again is None else bursts.whole
         chance = f", which has the probability {_probability(likely)} by itself"
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
-            f"{frames:.0f} frame{'s' * (round(frames) != 1)} ({frames * bursts.dt_s:.2f} s) from {begins} on"
+            f"{frames:.0f} {unit} ({frames * bursts.dt_s:.2f} s) from {begins} on"
             f"{'' if likely > CERTAINLY else chance}"
         )
     memory, everywhere = explanation.memory, explanation.sensitivity[0]

@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MODULE = '''
 """A simulator of a third party with a fault that can be removed: by a file beside it."""
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,9 @@ class Odd(BaseException):
 
 
 def do(fault):
+    if fault == "once" and not FAULT.with_name("was").exists():
+        FAULT.with_name("was").touch()
+        os._exit(0)
     if fault.startswith("exit"):
         sys.exit(int(fault[-1]))
     if fault == "interrupt":
@@ -219,3 +223,16 @@ def test_an_abort_says_where_it_was():
     assert ended.returncode == -signal.SIGABRT
     assert ended.stderr.startswith("Fatal Python error: Aborted")
     assert 'File "<string>", line 3' in ended.stderr
+
+
+def test_what_ends_a_process_is_survived_without_being_asked_for(fault, tmp_path, capsys):
+    """Not even an exit code of 0 stands for the run's."""
+    documents = []
+    for name in ("none", "once"):
+        fault.write_text(name)
+        out = str(tmp_path / name)
+        assert record(tmp_path, *WORDS, "--out", out) in (0, 1, 4)
+        shown = capsys.readouterr()
+        documents.append(comparable(json.loads(shown.out)))
+        assert ("worker processes that were lost: 1" in shown.err) == (name == "once")
+    assert {**documents[0], "run_id": ""} == {**documents[1], "run_id": ""}
