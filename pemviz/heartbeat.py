@@ -31,7 +31,11 @@ class _Pulse:
 
 
 def beat() -> None:
-    """Say that a step is done, to whoever watches this thread."""
+    """Say that a step is done, to whoever watches this thread.
+
+    Raises:
+        _UnwantedError: Nobody does any more: the call is to end.
+    """
     pulse: _Pulse | None = getattr(_OF_THREAD, "pulse", None)
     if pulse is None:
         return

@@ -171,11 +171,11 @@ def _resuming(arguments: RecordArguments, folder: Path, *options: str) -> str:
 
 
 def _more(config: ExperimentConfig) -> Sequence[str]:
-    """The option that gives a run twice what stopped it."""
-    if config.max_minutes is not None:
-        return "--max-minutes", f"{2.0 * config.max_minutes:g}"
+    """The options that give a run twice what may have stopped it."""
     most = by_name(config.method).most
-    return ("--max-rollouts", f"{2 * most(config)}") if most is not None else ()
+    words = [] if most is None else ["--max-rollouts", f"{2 * most(config)}"]
+    minutes = config.max_minutes
+    return words if minutes is None else [*words, "--max-minutes", f"{2.0 * minutes:g}"]
 
 
 def _recorders(arguments: RecordArguments, folder: Path) -> Sequence[Observer]:

@@ -87,10 +87,11 @@ class App:
 
 
 def show_something(controller: Controller, recordings: RecordingsFolder) -> None:
-    """Show the shipped sample, else the newest readable run, else a quick look that is not kept."""
+    """Show the newest readable run, else the shipped sample, else a quick look that is not kept."""
     sample = sample_run()
     shipped = [] if sample is None else [sample]
-    for folder in (*shipped, *(recordings.root / name for name in recordings.names())):
+    own = (name for name in recordings.names() if all(name != each.name for each in shipped))
+    for folder in (*(recordings.root / name for name in own), *shipped):
         try:
             controller.show(load_run(folder))
         except InputError as error:

@@ -30,6 +30,7 @@ def summary(result: RunResult, *, running: bool = False) -> Mapping[str, Any]:
         "metric": config.metric,
         "seed": config.seed,
         "status": "running" if running else result.status,
+        "message": result.message or "",
         "rollouts": sum(stage.rollouts for stage in result.stages),
         "took_s": result.timings_s.get("total"),
         **_answer(result, running=running),
@@ -74,6 +75,7 @@ def _answer(result: RunResult, *, running: bool) -> Mapping[str, Any]:
     return {
         "rule": None if first.rule is None else first.rule.name,
         "probability": first.estimate.probability,
+        "failures": first.estimate.failures,
         "low": first.open.low,
         "high": first.open.high,
         "act_on": act_on.removeprefix(ACT_ON),

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from pemviz._version import __version__
 from pemviz.colors import BLUE
+from pemviz.config import SHIPPED_SIMULATORS
 from pemviz.pem import PemCard
 from pemviz.reports import document as doc
 from pemviz.reports import html
@@ -334,15 +335,23 @@ def _card_rows(card: PemCard) -> list[tuple[str, str]]:
 def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
     digests = tuple((f"{name} (SHA-256)", doc.Verbatim(v)) for name, v in run.digests.items())
     version = run.result.versions.get("pemviz", "in the same version")
-    how = (
-        "To have the same figures again: save the configuration below as config.toml, install "
-        f"pemviz {version} with the versions above, and run"
+    again, versions = "To have the same figures again", f"pemviz {version} with the versions above"
+    how: tuple[Block, ...] = (
+        Paragraph(
+            f"{again}: save the configuration below as config.toml, install {versions}, and run"
+        ),
+        doc.Code("pemviz record --config config.toml"),
     )
+    own = run.result.simulator
+    if own is not None and run.result.config.simulator in SHIPPED_SIMULATORS:
+        # which the program had in place of what the configuration names
+        words = f"{again}: run the program that put simulator {own.name} ({own.code}) together "
+        words += f"with the configuration below, with {versions}; no command does"
+        how = (Paragraph(words),)
     return (
         *document.blocks("provenance"),
         *((facts(digests),) if digests else ()),
-        Paragraph(how),
-        doc.Code("pemviz record --config config.toml"),
+        *how,
         *document.blocks("configuration"),
     )
 

@@ -5,6 +5,7 @@ import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 from pemviz.config.toml_files import load_config
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
+from pemviz.panel.app import show_something
 from pemviz.panel.loading import LoadedRuns, load_run
 from pemviz.panel.recordings_folder import RecordingsFolder, Viewers
 from pemviz.panel.rollout_tables import check_table
@@ -295,3 +297,15 @@ def test_a_viewer_is_opened_once_and_the_oldest_is_closed():
     viewers.close()
     assert closed == [one, two, three]
     assert viewers.open(one) == "http://127.0.0.1/1"
+
+
+def test_ones_own_newest_run_is_shown_first_and_the_shipped_one_where_there_is_none(tmp_path):
+    shown = []
+    controller = SimpleNamespace(show=lambda run: shown.append(run.folder.name), start=None)
+    show_something(controller, RecordingsFolder(tmp_path))
+    for name in ("20260101-120000-auto", "20260102-120000-auto", "sample"):
+        shutil.copytree(sample_run(), tmp_path / name)
+    show_something(controller, RecordingsFolder(tmp_path))
+    (tmp_path / "20260102-120000-auto" / "result.json").write_text("{}")
+    show_something(controller, RecordingsFolder(tmp_path))
+    assert shown == [sample_run().name, "20260102-120000-auto", "20260101-120000-auto"]

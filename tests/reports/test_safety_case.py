@@ -14,7 +14,7 @@ from pemviz.files.shipped import sample_run
 from pemviz.reports.case_runs import CaseRun, read_case_run, run_folders
 from pemviz.reports.safety_case import MOST_IN_FULL, claim_sentence, claims, safety_case_page
 from pemviz.runs.reading import read_result
-from pemviz.runs.result import RunMemory
+from pemviz.runs.result import OwnSystem, RunMemory
 from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned
@@ -110,6 +110,22 @@ def test_every_section_has_its_content_and_the_page_is_well_formed():
     assert sum(element.tag.endswith("svg") for element in tree.iter()) >= 4
     assert all(len(list(table.iter("td"))) for table in tree.iter("table"))
     assert all(len("".join(item.itertext()).strip()) for item in tree.iter("li"))
+
+
+def test_how_to_have_the_figures_again_is_a_command_only_where_one_does():
+    """A simulator that a program put in place of the configuration's is had by that program."""
+    own = OwnSystem(name="cart", states=31, dt_s=0.1, code="carts.Cart")
+    registered = ExperimentConfig(simulator="cart")
+    for one, by_command in (
+        (sound(), True),
+        (sound(simulator=own), False),
+        (sound(simulator=own, config=registered), True),
+    ):
+        page = page_of(one)
+        assert ("pemviz record --config config.toml" in page) == by_command
+        assert (
+            "run the program that put simulator cart (carts.Cart) together" in page
+        ) != by_command
 
 
 def test_the_page_holds_nothing_but_itself():

@@ -114,11 +114,11 @@ export function Runs({ at, state, tell }) {
         <td>${html`<input type="checkbox" aria-label=${`Tick ${row.name}`} checked=${ticked.has(row.name)}
           onChange=${() => tick(row.name)} />`}</td>
         <td>${row.scenario}</td><td>${row.detector}</td>
-        <td class="n" title=${row.headline}>${row.rule ? html`<span class="quiet">${row.rule}</span> ` : ""}${short(row.probability)}</td>
+        <td class="n" title=${row.headline}>${row.rule ? html`<span class="quiet">${row.rule}</span> ` : ""}${row.failures === 0 ? "none seen" : short(row.probability)}</td>
         <td class="n">${(row.act_on || "\u2013").split(/ (?=\()/).map((part) => html`<span class="whole">${part}</span> `)}</td><td>${row.decided_by}</td>
         <td>${row.sampling_holds ? html`<span class="yes">\u2713 holds</span>` : html`<span class="no">\u2717 ${row.probability == null ? "no estimate" : "does not hold"}</span>`}</td>
         <td class="n" title=${row.warnings.join("\n")}>${row.warnings.length || ""}</td>
-        <td class="n">${row.rollouts.toLocaleString("en")}</td><td>${row.status}</td>
+        <td class="n">${row.rollouts.toLocaleString("en")}</td><td title=${row.message}>${row.status}</td>
         <td><a href=${`#/run/${encodeURIComponent(row.name)}`}>${row.name}</a><br /><span class="quiet">${row.note}</span></td>
         <td>${row.kept && html`<button title="Write a note" onClick=${() => note(row)}>note</button>`}
           ${row.recording && html`<button title="The recording in rerun's viewer, in a new tab" onClick=${() => view(row)}>rerun</button>`}</td>
