@@ -13,7 +13,7 @@ from pemviz.sampling.registry import by_name
 from pemviz.sampling.zero_variance.reference import Reference
 from pemviz.types import Estimate
 
-UNKNOWN = "unknown"
+UNKNOWN, NAMELESS = "unknown", "data that it does not name"
 FEWEST_DIGITS, MOST_DIGITS = 2, 4
 NEARLY, FAR = 0.8, 2.0
 """Of the minutes, from which on these are what ended a count; times the half-width asked for, from
@@ -234,6 +234,13 @@ def beyond_default_text(result: RunResult) -> str:
     return ", ".join(parts)
 
 
+def model_text(pem: PemInfo) -> str:
+    """An error model, and what it learned from, if it says so."""
+    if not pem.data or pem.data.startswith(NAMELESS):
+        return f"{pem.name} is a model of the user's own, and names no data"
+    return f"{pem.name} learned from {data_text(pem)}"
+
+
 def data_text(pem: PemInfo) -> str:
     """What an error model learned from, as far as a line needs it: up to the first detail."""
-    return re.split(r" \(|; ", pem.data, maxsplit=1)[0] or "data that it does not name"
+    return re.split(r" \(|; ", pem.data, maxsplit=1)[0] or NAMELESS

@@ -178,7 +178,7 @@ def _given_section(result: RunResult) -> Section:
     """What the answer rests on: the model's data, how misses hang together, what measures."""
     config = result.config
     lines = [
-        f"{result.pem.name} learned from {estimates.data_text(result.pem)}",
+        estimates.model_text(result.pem),
         f"misses {memory_words.memory_text(result)}",
     ]
     if result.is_of_detector_itself:

@@ -19,7 +19,7 @@ from pemviz.pem.models.protocol import Pem
 from pemviz.processes import ProcessPool
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.kept_rollout import read_kept_rollout
-from pemviz.runs.reading import CONFIG
+from pemviz.runs.reading import CONFIG, result_left
 from pemviz.runs.rollout_files import (
     LATENTS,
     ROLLOUT,
@@ -61,6 +61,7 @@ class Replayed:
         violated: Whether the specification is; likewise.
         kept: Whether the run folder holds it.
         difference: What is not as the run kept it, in words; empty if all is, or nothing kept.
+        had_failed: Whether it is the one that the run ended at.
     """
 
     repetition: int
@@ -78,6 +79,7 @@ class Replayed:
     violated: bool | None
     kept: bool
     difference: str
+    had_failed: bool = False
 
     @property
     def failed(self) -> bool:
@@ -111,7 +113,10 @@ class Replayed:
             same = "equal to what the run kept"
         verdict = "violated" if self.violated else "holds"
         end = f"ran to the end: robustness {self.robustness:.6g}, {verdict}; {same}"
-        return [end]
+        if not self.had_failed:
+            return [end]
+        why = "what fails depends on more than its outcomes: a count, a clock, other rollouts?"
+        return [end, f"but the run ended at it: {why}"]
 
 
 def replay(
@@ -166,7 +171,20 @@ def replay(
         simulator, pem, task = problem.simulator, problem.pem, kept.task
     limit_s = problem.step_time_limit_s if limit_s is None else limit_s
     came = simulate_apart(simulator, pem, task, limit_s=limit_s)
-    return _replayed(experiment, place, task, came, kept)
+    replayed = _replayed(experiment, place, task, came, kept)
+    return replace(replayed, had_failed=_ended_at(folder, place))
+
+
+def _ended_at(folder: Path, place: tuple[int, int, int]) -> bool:
+    """Whether a run failed in a rollout, by what its result says."""
+    result, (repetition, stage, rollout) = result_left(folder), place
+    if result is None or result.status != "failed":
+        return False
+    where = f"stage {stage}"
+    if result.config.repetitions > 1:
+        where += f", repetition {repetition + 1} of {result.config.repetitions}"
+    message = result.message or ""
+    return f" rollout {rollout}, " in message.replace(" (", ", (") and f"({where})" in message
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,17 @@ def test_a_rollout_that_a_message_names_fails_again_with_what_it_had(aborted, wh
     assert "outcomes, 1 detected, 0 missed: 1001" in str(found)
 
 
+def test_a_rollout_that_the_run_ended_at_and_that_runs_to_the_end_now_is_told(aborted):
+    folder, error = aborted
+    _, stage, rollout = error.rollout
+    again = {"stage": stage, "experiment": experiment("holds")}
+    found = pemviz.replay(folder, rollout=rollout, **again)
+    assert (found.failed, found.had_failed) == (False, True)
+    assert "but the run ended at it: what fails depends on more than its outcomes" in str(found)
+    other = pemviz.replay(folder, rollout=rollout - 1, **again)
+    assert (other.failed, other.had_failed) == (False, False)
+
+
 def test_what_a_simulator_raises_is_shown_with_its_traceback(tmp_path, whole):
     folder, error = failed(tmp_path, "raises")
     assert error.rollout is None  # of a batch nobody knows which
