@@ -9,6 +9,7 @@ from pemviz.cluster import cluster_pool
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool, can_be_sent
 from pemviz.runs.experiment import Experiment
+from pemviz.runs.own_code import own_system
 from pemviz.sampling.rollouts.pooled import PooledRunner
 
 
@@ -58,7 +59,7 @@ def own_process(experiment: Experiment) -> int | None:
     What it does there, an abort included, is survived.
     """
     problem = experiment.problem
-    if not experiment.is_own_system or no_use(experiment):
+    if own_system(experiment) is None or no_use(experiment):
         return None
     return 1 if can_be_sent(problem.simulator, problem.pem) else None
 
@@ -85,7 +86,7 @@ def with_workers(
             runner = PooledRunner(submit, count, limit_s=limit_s, pause=pause, loses=loses)
             yield _simulated_by(experiment, runner)
     # one too outlives what this process would not
-    elif workers is not None and (workers > 1 or loses or experiment.is_own_system):
+    elif workers is not None and (workers > 1 or loses or own_system(experiment) is not None):
         with ProcessPool(workers) as pool:
             runner = PooledRunner(
                 pool.submit,

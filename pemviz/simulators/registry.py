@@ -92,7 +92,7 @@ def build_named_simulator(  # noqa: PLR0911 (one case per simulator)
         return SideBySide(make=partial(braking_on_carla, scenario, carla or DEFAULT_ADDRESS))
     return SIMULATORS.registered(
         name,
-        made=lambda factory: _called(factory, scenario),
+        made=lambda factory: _made(factory, scenario),
         fits=lambda built: isinstance(built, Simulator) and not isinstance(built, type),
         complaint="returns {}, which is no pemviz.Simulator",
     )
@@ -124,6 +124,17 @@ def build_encounter_simulator(
         message = f"simulator = {config.simulator!r}: must be {allowed}"
         raise ConfigError(message)
     return VectorizedEncounters(*own)
+
+
+def _made(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:
+    """What the factory makes; of an environment that is reset and stepped each process its own."""
+    from pemviz.simulators.episodic import EpisodicSimulator, side_by_side  # noqa: PLC0415  slow
+
+    made = _called(factory, scenario)
+    steps = isinstance(made, EpisodicSimulator) and not isinstance(made, type)
+    if steps and not hasattr(made, "initial"):
+        return side_by_side(partial(_called, factory, scenario))
+    return made
 
 
 def _called(factory: Callable[..., Any], scenario: ScenarioConfig) -> Any:

@@ -4,14 +4,20 @@ import importlib
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.errors import ConfigError
 from pemviz.panel.run_data import own_scenario
+from pemviz.processes import can_be_sent
+from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import build_experiment
+from pemviz.sampling.rollouts.simulate import simulate
 from pemviz.simulators.registry import SHIPPED, build_named_simulator, simulator_names
+from pemviz.types import Simulator
+from tests.lattice_walk import ToyPem
 
 MODULE = '''
 """Simulators of a third party."""
@@ -47,6 +53,22 @@ def annotated(given: "ScenarioConfig | None" = None):
     return ToySimulator(states=5 if given is None else given.states)
 
 
+class Stepped:
+    name, states, dt_s = "stepped", 6, 0.5
+    signals = ToySimulator().signals
+
+    def reset(self):
+        self.gap = 3.0
+        return {"gap": self.gap}
+
+    def step(self, detected):
+        self.gap += 1.0 if detected else -1.0
+        return {"gap": self.gap}, False
+
+    def salient(self, signals):
+        return signals["gap"][..., None]
+
+
 def failing(scenario):
     raise ValueError(f"no licence\\nfor {scenario.states} states")
 
@@ -62,6 +84,7 @@ NAMES = {
     "faster": "by_scenario",
     "settled": "Settled",
     "annotated": "annotated",
+    "stepped": "Stepped",
     "failing": "failing",
     "nothing": "nothing",
     "class": "Faster",
@@ -107,6 +130,18 @@ def test_what_has_defaults_of_its_own_is_handed_no_scenario_that_it_did_not_ask_
     settled = build_named_simulator("settled", ScenarioConfig(states=7))
     assert (settled.name, settled.states) == ("settled", 13)
     assert build_named_simulator("annotated", ScenarioConfig(states=7)).states == 7
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_registered_environment_that_is_reset_and_stepped_is_a_simulator_that_can_be_sent():
+    built = build_named_simulator("stepped", ScenarioConfig())
+    assert (built.name, built.states) == ("stepped", 6)
+    assert isinstance(built, Simulator)
+    assert can_be_sent(built)
+    uniforms = np.random.default_rng(1).random((20, 5))
+    rollouts = simulate(simulator=built, pem=ToyPem(), proposal=PemProposal(), uniforms=uniforms)
+    steps = np.where(rollouts.detected, 1.0, -1.0)
+    np.testing.assert_array_equal(np.diff(rollouts.signals["gap"]), steps)
 
 
 @pytest.mark.usefixtures("third_party")
