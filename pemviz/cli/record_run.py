@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.record_arguments import RecordArguments
-from pemviz.config import LIMITS, ExperimentConfig
+from pemviz.config import LIMITS
 from pemviz.config.rule_words import GateLimits
 from pemviz.errors import EXIT_DONE, EXIT_FAILED, ConfigError, RunError
 from pemviz.processes import ending_told
@@ -22,7 +22,7 @@ from pemviz.runs.progress import progress_observer
 from pemviz.runs.reading import CONFIG, result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.run_folder import carry_out, create_run_folder, may_go_on
+from pemviz.runs.run_folder import carry_out, create_run_folder, is_short, may_go_on
 from pemviz.runs.workers import check_workers, no_use, own_process
 from pemviz.sampling.registry import by_name
 
@@ -65,8 +65,8 @@ def record(arguments: RecordArguments) -> int:
         _print_json(result, limits=arguments.limits)
     else:
         print_summary(result, folder, verbose=arguments.verbose)
-    if may_go_on(folder):
-        more = _resuming(arguments, folder, *_more(experiment.config))
+    if is_short(result):
+        more = _resuming(arguments, folder, *_more(result))
         print(f"pemviz: less precise than was asked; to go on: {more}", file=sys.stderr)
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
@@ -170,11 +170,11 @@ def _resuming(arguments: RecordArguments, folder: Path, *options: str) -> str:
     return shlex.join([*words, *["--allow-python"] * arguments.allow_python])
 
 
-def _more(config: ExperimentConfig) -> Sequence[str]:
+def _more(result: RunResult) -> Sequence[str]:
     """The options that give a run twice what may have stopped it."""
-    most = by_name(config.method).most
-    words = [] if most is None else ["--max-rollouts", f"{2 * most(config)}"]
-    minutes = config.max_minutes
+    config, simulated = result.config, sum(stage.rollouts for stage in result.stages)
+    most, minutes = by_name(config.method).most, config.max_minutes
+    words = [] if most is None else ["--max-rollouts", f"{2 * max(most(config), simulated)}"]
     return words if minutes is None else [*words, "--max-minutes", f"{2.0 * minutes:g}"]
 
 

@@ -113,7 +113,12 @@ class RunStore:
     """
 
     def __init__(
-        self, folder: Path, *, archive: Archive | None = None, others: Sequence[str] = ()
+        self,
+        folder: Path,
+        *,
+        archive: Archive | None = None,
+        others: Sequence[str] = (),
+        keeps_stages: bool = False,
     ) -> None:
         """Nothing is written before the run starts.
 
@@ -122,6 +127,7 @@ class RunStore:
             archive: What an earlier process left in it, which is not written again.
             others: Names of files of observers that are notified of the end before this one is;
                 their digests are kept too.
+            keeps_stages: Whether the stages' files stay once the run is done, be it short or not.
         """
         self.folder = folder
         self._archive = archive
@@ -130,7 +136,7 @@ class RunStore:
         self._parts: list[Path] = []
         self._sampled: list[int] = []  # by each stage of the repetition at hand
         self._columns: list[Mapping[str, AnyArray]] = []
-        self._others = others
+        self._others, self._keeps_stages = others, keeps_stages
         self._proposals: dict[str, AnyArray] = {}
         self._written, self._writing_s = -math.inf, 0.0
 
@@ -170,7 +176,7 @@ class RunStore:
         self._join()
         write_result(self.folder, result, files=(CONFIG, ROLLOUTS_FILE, PROPOSALS, *self._others))
         parts = self.folder / PART_FOLDER
-        if parts.exists() and is_short(result):
+        if parts.exists() and (self._keeps_stages or is_short(result)):
             parts.rename(self.folder / KEPT_PARTS)
         elif parts.exists():
             removed = parts.rename(self.folder / f".{PART_FOLDER}.removed")
@@ -265,9 +271,9 @@ def carry_out(
     """
     with run_lock(folder):
         check_resumable(experiment, folder)
-        _let_go_on(folder, experiment.config)
+        goes_on = _let_go_on(folder, experiment.config)
         archive = Archive(folder, experiment.declared.signals)
-        store = RunStore(folder, archive=archive, others=(RECORDING,))
+        store = RunStore(folder, archive=archive, others=(RECORDING,), keeps_stages=goes_on)
         return run(
             going_on(experiment, archive),
             run_id=folder.name,
@@ -307,32 +313,39 @@ def is_short(result: RunResult) -> bool:
 
 def may_go_on(folder: Path) -> bool:
     """Whether a run that is done has its stages still, and can go on with other limits."""
-    return (folder / KEPT_PARTS).is_dir()
+    return (folder / KEPT_PARTS).is_dir() or bool(rollout_files.stage_files(folder))
 
 
-def _let_go_on(folder: Path, wanted: ExperimentConfig) -> None:
+def _let_go_on(folder: Path, wanted: ExperimentConfig) -> bool:
     """Take over settings that a run may go on with others of: what loses it, and its limits.
 
     A kill in between leaves stages without a result, from which it goes on too.
+
+    Returns:
+        Whether the run was done.
     """
-    path = folder / CONFIG
+    path, kept, parts = folder / CONFIG, folder / KEPT_PARTS, folder / PART_FOLDER
+    if kept.is_dir() and parts.exists():  # which are newer
+        shutil.rmtree(kept)
+    elif kept.is_dir():
+        kept.rename(parts)
     if not path.exists():
-        return
+        return False
     begun = load_config(path)
     chosen = {name: getattr(wanted, name) for name in LIMITS}
     if begun.lost == "end":
         chosen["lost"] = wanted.lost
     config = replace(begun, **chosen)
     if config == begun:
-        return
+        return False
     result = result_left(folder)
-    if may_go_on(folder):
-        (folder / KEPT_PARTS).rename(folder / PART_FOLDER)
     for name in (RESULT_FILE, ROLLOUTS_FILE):
         (folder / name).unlink(missing_ok=True)
     write_text(path, config_text(config))
     if result is not None and result.status != "done":
         write_result(folder, replace(result, config=config), files=(CONFIG,))
+        return False
+    return result is not None
 
 
 @contextlib.contextmanager

@@ -352,7 +352,20 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "900"]
     assert record.run(words) == EXIT_DONE
     assert contents(folders[1]) == contents(folders[0])
-    assert f"--resume {folders[1]} --max-rollouts 1800" in capsys.readouterr().err
+    assert (
+        f"to go on: pemviz record --resume {folders[1]} --max-rollouts " in capsys.readouterr().err
+    )
+    # by less that is asked nothing is lost, nor by a kill between the answer and its stages
+    words = ["--resume", str(folders[1]), "--no-recording", "--precision"]
+    assert record.run([*words, "50%"]) == EXIT_DONE
+    (folders[1] / ".stages").rename(folders[1] / "stages")
+    assert record.run([*words, "5%"]) == EXIT_DONE
+    assert contents(folders[1]) == contents(folders[0])
+    assert carry_out(longer, folders[1]).status == "done"  # which reads its stages back
+    assert contents(folders[1]) == contents(folders[0])
+    # nothing more may be sampled: the same answer again
+    fewer = replace(longer.config, max_rollouts=300, max_minutes=5.0)
+    assert carry_out(build_experiment(fewer), folders[1]).estimate == first.estimate
 
 
 def test_a_run_that_is_as_precise_as_was_asked_has_no_stages_to_go_on_from(tmp_path):

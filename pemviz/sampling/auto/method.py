@@ -416,7 +416,7 @@ class AutoSampling:
         within = self._within_s(state)
         if math.isfinite(within):
             left = min(left, max(int(within), FEWEST_ROLLOUTS))
-            least = min(least, left)
+            least = min(least, max(left, FEWEST_ROLLOUTS))
         return drawn, left, least
 
     def _is_far(self, found: Sequence[Estimate]) -> bool:
