@@ -179,6 +179,7 @@ def test_minutes_end_it_with_an_answer_and_a_run_that_goes_on_decides_as_it_woul
         ({"max_minutes": 0.3}, {"max_minutes": 20.0}),
         ({"max_minutes": 1.0}, {"max_minutes": 20.0}),
         ({"max_rollouts": 1_200}, {"max_rollouts": 20_000}),
+        ({"max_rollouts": 1_200}, {"max_rollouts": 20_000, "max_minutes": 20.0}),
         ({"precision": 0.5}, {"precision": 0.1}),
     ],
 )

@@ -62,7 +62,7 @@ CHECKED_SHARE = 0.2
 PLAIN_CONFIDENCE = 0.999
 """Of the plain count's interval, in which the answer is to lie."""
 SECONDS, LIMITS = "seconds", "limits"
-"""What each stage took, where a time is set, and the limits that it was chosen under."""
+"""What each stage took, for a run that goes on with a time, and the limits it was chosen under."""
 FEWEST_STAGES = 3
 """Of proposals, at least: one explores, one learns, one counts."""
 FEWEST_ROLLOUTS = 60
@@ -205,8 +205,8 @@ class AutoSampling:
         took_s = float(left.get(SECONDS, np.array(time.perf_counter() - began)))
         limits = left.get(LIMITS, self.limits.kept)
         state = replace(state, took=(*state.took, Took(result.count, took_s)))
-        timed = {SECONDS: np.array(took_s)} if math.isfinite(limits[-1]) else {}
-        result = replace(result, kept={**result.kept, LIMITS: limits, **timed})
+        kept = {**result.kept, LIMITS: limits, SECONDS: np.array(took_s)}
+        result = replace(result, kept=kept)
         following = problem.finished(state.repetition, stage + 1)
         decided_by = self.limits.kept if following is None else following.kept.get(LIMITS, limits)
         deciding = self if following is None else self._under(decided_by)
