@@ -65,12 +65,12 @@ def record(arguments: RecordArguments) -> int:
         _print_json(result, limits=arguments.limits)
     else:
         print_summary(result, folder, verbose=arguments.verbose)
-    if is_short(result):
-        more = _resuming(arguments, folder, *_more(result))
-        print(f"pemviz: less precise than was asked; to go on: {more}", file=sys.stderr)
     if result.status != "done":
         print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
         return EXIT_FAILED
+    if is_short(result):
+        more = _resuming(arguments, folder, *_more(result))
+        print(f"pemviz: less precise than was asked; to go on: {more}", file=sys.stderr)
     return gate_exit_code(result, limits=arguments.limits)
 
 
@@ -87,7 +87,10 @@ def _goes_on(arguments: RecordArguments, result: RunResult) -> bool:
     if may_go_on(folder):
         return True
     given = ", ".join(f"{name} = {getattr(wanted, name)}" for name in names)
-    why = f"{folder} is done, and as precise as it was to be, so that its stages were not kept"
+    why = (
+        f"{folder} is done, as precise as it was to be, or after a last stage that came in parts, "
+    )
+    why += "and its stages were not kept"
     if by_name(begun.method).most is None:
         why = f"{folder} is done, and its method {begun.method} has no limits"
     raise ConfigError(f"{given}: {why}; start a new run")

@@ -304,8 +304,15 @@ def going_on(experiment: Experiment, archive: Archive) -> Experiment:
 
 
 def is_short(result: RunResult) -> bool:
-    """Whether an answer is less precise than it was to be, by a method that goes on until it is."""
+    """Whether an answer is less precise than it was to be, by a method that goes on until it is.
+
+    Unless proposals' last stage came in parts, which are not learned from.
+    """
     if by_name(result.config.method).most is None or result.estimate is None:
+        return False
+    last = sum(stage.kind == "final" for stage in result.stages)
+    counts = by_name(result.estimate.method).interval_basis == "counts"
+    if not counts and last > len(result.repetitions):
         return False
     answers = [result.estimate, *(rule.estimate for rule in result.rules if rule.estimate.failures)]
     return any(not each.relative_half_width <= result.config.precision for each in answers)
