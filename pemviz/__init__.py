@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pemviz.arrays import BoolArray, FloatArray
     from pemviz.config import ExperimentConfig, ScenarioConfig
     from pemviz.errors import ConfigError, InputError, PemvizError, RunError, UndecidedError
+    from pemviz.export.rollouts_table import read_rollouts
     from pemviz.latents import LatentCounts, Latents
     from pemviz.pem import DetectorModel
     from pemviz.proposals.offset_logistic import StateFeatures
@@ -60,6 +61,7 @@ _HOMES = {
     "arrays": "BoolArray FloatArray",
     "config": "ExperimentConfig ScenarioConfig",
     "errors": "ConfigError InputError PemvizError RunError UndecidedError",
+    "export.rollouts_table": "read_rollouts",
     "latents": "LatentCounts Latents",
     "pem": "DetectorModel",
     "proposals.offset_logistic": "StateFeatures",
@@ -107,8 +109,8 @@ __all__ = [
     "RunStore", "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator",
     "Slot", "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState",
     "UndecidedError", "__version__", "build_experiment", "named_detections_action",
-    "quantised_start", "raise_if_undecided", "read_result", "read_rollout", "replay",
-    "result_document", "run", "run_experiment", "side_by_side", "summary_text", "tracked",
+    "quantised_start", "raise_if_undecided", "read_result", "read_rollout", "read_rollouts",
+    "replay", "result_document", "run", "run_experiment", "side_by_side", "summary_text", "tracked",
 ]  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pemviz.proposals.defensive import LARGEST_SHARE
-from pemviz.sampling.auto.method import AutoSampling
+from pemviz.sampling.auto.method import AutoSampling, Limits
 from pemviz.sampling.estimates.estimators import ADAPTATION, HARD_ADAPTATION
 from pemviz.sampling.mixture.fit import WIDE_SHARE, WIDEST, WIDEST_SHARE
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -78,7 +78,11 @@ def test_auto_learns_from_more_where_proposals_are_hard_to_learn():
     rollouts = []
     for system in (FEW, LATE):
         own = AutoSampling(
-            mixture=method(), first=60, most_looked_at=60, most_plain=60, most=4_000, precision=5.0
+            mixture=method(),
+            first=60,
+            most_looked_at=60,
+            most_plain=60,
+            limits=Limits(precision=5.0, most=4_000),
         )
         state, _ = stepped_through(own, problem_of(system, MISS))
         rollouts.append(state.proposing.method.rollouts)
