@@ -234,7 +234,8 @@ def can_be_sent(*things: object) -> bool:
     """Whether another process can have these."""
     try:
         ForkingPickler.dumps(things)
-    except Exception:  # anything, as theirs may raise
+    except BaseException as error:
+        exception_text(error)  # raises what a signal raised; else it is theirs, an exit included
         return False
     return True
 

@@ -192,6 +192,7 @@ def test_what_another_process_can_have():
     assert can_be_sent(1.5, "words", slowest_first)
     assert not can_be_sent(lambda: 0)
     assert not can_be_sent(LeavesOnlyWithAnError())
+    assert not can_be_sent(LeavesWhenPickled())
 
 
 class LeavesOnlyWithAnError:

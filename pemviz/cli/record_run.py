@@ -40,7 +40,7 @@ def record(arguments: RecordArguments) -> int:
     left = None if arguments.source.resume is None else result_left(arguments.source.resume)
     if left is not None and left.status == "done" and not _goes_on(arguments, left):
         return _report_done(arguments, left, reports=reports)
-    with ending_told("pemviz: ended by what was to be simulated, or killed; nothing was simulated"):
+    with ending_told("pemviz: ended by what was to be simulated, or killed, before the run began"):
         experiment = build_experiment(arguments.experiment, allow_python=arguments.allow_python)
     check_workers(experiment, workers=arguments.workers, scheduler=arguments.scheduler)
     for note in (*arguments.notes, *_own_process_notes(arguments, experiment)):

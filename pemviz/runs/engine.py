@@ -124,7 +124,7 @@ def run(
         KeyboardInterrupt: A signal's; the run has stopped.
     """
 
-    def pause() -> None:
+    def pause(*_: int) -> None:
         if should_stop():
             raise faults.StopRequested
 
@@ -132,7 +132,7 @@ def run(
         _shown(progress) as shown,
         with_workers(experiment, workers=workers, scheduler=scheduler, pause=pause) as worked,
     ):
-        return _run(_Runner(worked, run_id, [*shown, *observers], should_stop))
+        return _run(_Runner(worked, run_id, [*shown, *observers], pause))
 
 
 @contextlib.contextmanager
@@ -174,12 +174,12 @@ class _Runner:
         experiment: Experiment,
         run_id: str,
         observers: Sequence[events.Observer],
-        should_stop: Callable[[], bool],
+        pause: Callable[..., None],
     ) -> None:
-        problem = replace(experiment.problem, progress=self._pause, pause=self._pause)
+        problem = replace(experiment.problem, progress=pause, pause=pause)
         self._experiment = replace(experiment, problem=problem)
         self._observers = observers
-        self._should_stop = should_stop
+        self._pause = pause
         self._began = time.perf_counter()
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self._by_rule: list[Mapping[str, Estimate]] = []
@@ -338,10 +338,6 @@ class _Runner:
             return here or before
         probability = (done * before.probability + here.probability) / (done + 1)
         return replace(here, rollouts=before.rollouts + here.rollouts, probability=probability)
-
-    def _pause(self, *_: int) -> None:
-        if self._should_stop():
-            raise faults.StopRequested
 
     def _notify(self, event: events.Event, *only: events.Observer) -> None:
         """Of what observers raise, a KeyboardInterrupt counts as a person's."""

@@ -85,8 +85,7 @@ def with_workers(
         with cluster_pool(scheduler) as (submit, count):
             runner = PooledRunner(submit, count, limit_s=limit_s, pause=pause, loses=loses)
             yield _simulated_by(experiment, runner)
-    # one too outlives what this process would not
-    elif workers is not None and (workers > 1 or loses or own_system(experiment) is not None):
+    elif workers is not None:  # one too outlives what this process would not
         with ProcessPool(workers) as pool:
             runner = PooledRunner(
                 pool.submit,

@@ -261,6 +261,7 @@ def test_numbers_of_every_type_and_which_cells_are_none():
         (words, [1.5, np.nan, np.nan, -300.0], [1, 2]),
         (words.dictionary_encode(), [1.5, np.nan, np.nan, -300.0], [1, 2]),
         (pa.array(["1_5", "15"]), [np.nan, 15.0], [0]),
+        (pa.array([b"1_5", b"15", b"\xff"]), [np.nan, 15.0, np.nan], [0, 2]),
         (pa.array([True, False, None]), [1.0, 0.0, np.nan], [2]),
         (pa.array([2, None]), [2.0, np.nan], [1]),
     ):

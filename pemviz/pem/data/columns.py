@@ -133,7 +133,8 @@ def numbers_of(column: Any) -> tuple[FloatArray, BoolArray]:
 
 def _numbers_by_cell(cells: Sequence[Any]) -> tuple[FloatArray, BoolArray]:
     values, wrong = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=np.bool_)
-    for row, cell in enumerate(cells):
+    for row, each in enumerate(cells):
+        cell = each.decode(errors="replace") if isinstance(each, bytes) else each
         try:
             values[row] = float(cell)
         except (TypeError, ValueError):
