@@ -84,7 +84,7 @@ def run_experiment(
         config: The configuration.
         run_id: The run's name in its result.
         observers: Notified of everything that happens; they do not change the result.
-        should_stop: Called between batches of rollouts.
+        should_stop: Called several times a second; ends the run at its next step.
 
     Raises:
         InputError: The configuration is wrong; observers hear nothing.
@@ -111,7 +111,7 @@ def run(
         experiment: What :func:`build_experiment` gives.
         run_id: The run's name in its result.
         observers: Notified of everything that happens; they do not change the result.
-        should_stop: Called between batches of rollouts.
+        should_stop: Called several times a second; ends the run at its next step.
         workers: So many processes of this machine simulate the rollouts, to the same result; the
             program must then begin its work under ``if __name__ == "__main__":``.
         scheduler: The workers of the Dask cluster do whose scheduler has this address.

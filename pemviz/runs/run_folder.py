@@ -260,7 +260,7 @@ def carry_out(
         recorders: Write further files of the run; notified after the folder has each event, but
             for the end: a folder says that a run is done once they are whole.
         observers: Notified of everything that happens, after the folder has it.
-        should_stop: Called between batches of rollouts.
+        should_stop: Called several times a second; ends the run at its next step.
         workers: Who simulates; see :func:`pemviz.runs.engine.run`.
         scheduler: Likewise.
 

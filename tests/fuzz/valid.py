@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from safetensors.numpy import save
@@ -22,6 +23,7 @@ from pemviz.pem.models.tabulated import TabulatedPem
 from pemviz.pem.models.trees import LEAF, TreesPem
 from pemviz.proposals.gap_network import GapNetwork
 from pemviz.runs.engine import run
+from pemviz.runs.events import StageDone
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.result_file import write_result
 from pemviz.runs.run_folder import RunStore
@@ -157,12 +159,15 @@ class ValidFiles:
         config = replace(CONFIGS[0], method="naive", final_rollouts=10, repetitions=2)
         folder = self.folder / "begun"
         folder.mkdir()
-        stopping = iter((False, True))
+        done = []
+        first = SimpleNamespace(
+            notify=lambda event: done.extend([0] * isinstance(event, StageDone))
+        )
         run(
             build_experiment(config),
             run_id="begun",
-            observers=[RunStore(folder)],
-            should_stop=lambda: next(stopping, True),
+            observers=[RunStore(folder), first],
+            should_stop=lambda: bool(done),
         )
         return folder
 
