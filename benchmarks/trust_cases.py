@@ -1,11 +1,19 @@
 """Cases whose failure probability is known, from 1e-25 to 0.9, of every form of specification."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.trust_systems import DroneAtWall, LinearLogit, TwoWayWalk
+from benchmarks.trust_systems import (
+    MOST,
+    WINDOW,
+    DroneAtWall,
+    LinearLogit,
+    MissesByWindow,
+    TwoWayWalk,
+    Windows,
+)
 from benchmarks.trust_truth import (
     Automaton,
     Condition,
@@ -18,6 +26,7 @@ from benchmarks.trust_truth import (
     response,
     until,
 )
+from pemviz.arrays import BoolArray, FloatArray
 from pemviz.config import ExperimentConfig
 from pemviz.config.toml_files import load_preset
 from pemviz.runs.experiment import Experiment, build_experiment
@@ -271,6 +280,30 @@ def _towns() -> Sequence[TrustCase]:
     )
 
 
+def _something_is_seen(signals: Mapping[str, FloatArray]) -> BoolArray:
+    return signals[MOST] < WINDOW
+
+
+def _windows() -> Sequence[TrustCase]:
+    """Two failure modes far apart in time, of which exploration meets one seldom."""
+    config = replace(load_preset("paper"), plan=False)
+    cases: list[TrustCase] = []
+    for first in (0, 20):
+        system = Windows(first=(first, 100))
+        model = MissesByWindow(system=system)
+        cases.append(
+            TrustCase(
+                name=f"windows from {first} and 100 on",
+                config=replace(config, spec=system.spec),
+                truth=system.probability(miss=model.within),
+                automaton=always(_something_is_seen, 0, system.states - 1),
+                system=system,
+                model=model,
+            )
+        )
+    return cases
+
+
 DRONE_COUNTED, DRONE_ROLLOUTS = 766_438, 4_000_000
 """Violations by plain Monte Carlo with numpy alone, without the sampler; seed 20261122."""
 
@@ -295,4 +328,4 @@ def _drones() -> Sequence[TrustCase]:
 def trust_cases() -> Sequence[TrustCase]:
     """All cases; those with the authors' model where it is there."""
     here = [case for case in BRAKING if case[1] != "authors" or AUTHORS_MODEL.is_file()]
-    return (*(_braking(*case) for case in here), *_towns(), *_walks(), *_drones())
+    return (*(_braking(*case) for case in here), *_towns(), *_walks(), *_windows(), *_drones())

@@ -1,14 +1,18 @@
-"""Systems of one's own for the study of trust: a walk that fails in two ways, a drone at a wall."""
+"""Systems of one's own for the study of trust: what fails in two ways, and a drone at a wall."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logit
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.types import Signal, StateBatch
 
 GAP, UNSEEN = "gap", "unseen"
+CLOCK, MISSED, MOST = "clock", "missed", "most"
+WINDOW = 6
+"""Steps of each window of time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +86,92 @@ class LinearLogit:
     def logit(self, salient: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]`` for salient variables ``[..., 1]``."""
         return self.at_zero + self.slope * salient[..., 0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """It fails where all steps of any of several windows of time are missed.
+
+    Between them every step is alike: nothing leads to a window, and a chain of errors that misses
+    elsewhere too is improbable for nothing.
+
+    Attributes:
+        first: Step at which each window begins.
+        states: States in a rollout.
+        name: The simulator's.
+        dt_s: Time step [s].
+    """
+
+    first: tuple[int, ...] = (0, 100)
+    states: int = 120
+    name: str = "windows"
+    dt_s: float = 1.0
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The step, misses in the window at hand so far, and the most so far."""
+        return (
+            Signal(name=CLOCK, key=CLOCK, unit="1", low=0.0, high=float(self.states)),
+            Signal(name=MISSED, key=MISSED, unit="1", low=0.0, high=float(WINDOW)),
+            Signal(name=MOST, key=MOST, unit="1", low=0.0, high=float(WINDOW)),
+        )
+
+    @property
+    def spec(self) -> str:
+        """That in each window something is detected."""
+        return f"always[0,{self.states - 1}] ({MOST} < {WINDOW})"
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` rollouts at their first step."""
+        none = dict.fromkeys((CLOCK, MISSED, MOST), np.zeros(count))
+        return StateBatch(step=np.zeros((), dtype=np.int64), signals=none)
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """One miss more in a window where it was missed ``[N]``."""
+        step, signals = int(states.step), states.signals
+        missed = np.zeros(detected.size)
+        if self.is_in_window(step):
+            missed = np.where(step in self.first, 0.0, signals[MISSED]) + ~detected
+        after = {
+            CLOCK: signals[CLOCK] + 1.0,
+            MISSED: missed,
+            MOST: np.maximum(signals[MOST], missed),
+        }
+        return StateBatch(step=states.step + 1, signals=after)
+
+    def is_in_window(self, step: int) -> bool:
+        """Whether a step is in one of the windows."""
+        return any(first <= step < first + WINDOW for first in self.first)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The step, ``[..., 1]``."""
+        return signals[CLOCK][..., None]
+
+    def probability(self, *, miss: float) -> float:
+        """Of a violation, where each step of a window is missed with the probability ``miss``."""
+        return float(-np.expm1(len(self.first) * np.log1p(-(miss**WINDOW))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissesByWindow:
+    """A detector model of :class:`Windows`.
+
+    Attributes:
+        system: Whose windows.
+        within: P(miss) at a step of a window.
+        elsewhere: At any other.
+    """
+
+    system: Windows
+    within: float = 0.05
+    elsewhere: float = 0.1
+
+    def logit(self, salient: FloatArray) -> FloatArray:
+        """Logit of 'detected' ``[...]`` at steps ``[..., 1]``."""
+        steps = np.arange(self.system.states)
+        inside = np.array([self.system.is_in_window(step) for step in steps.tolist()])
+        miss = np.where(inside, self.within, self.elsewhere)
+        return logit(1.0 - miss)[salient[..., 0].astype(np.int64)]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from pemviz.sampling.mixture.rejuvenated import SIMULATED
 from pemviz.sampling.particles.method import ParticleSampling
 from pemviz.sampling.splitting.run import Splitting
 from pemviz.sampling.subset.run import SubsetSimulation
@@ -101,6 +102,11 @@ def carried_out(method, problem, *, repetition=0):
     """The estimate of a repetition, and its stages."""
     state, stages = stepped_through(method, problem, repetition=repetition)
     return method.estimate(state), stages
+
+
+def simulated_in(stages):
+    """Rollouts of a repetition's stages, and those that violations were moved by."""
+    return sum(stage.count + int(stage.kept.get(SIMULATED, 0)) for stage in stages)
 
 
 def estimate_of(method, problem, *, repetition=0):

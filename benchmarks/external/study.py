@@ -29,6 +29,7 @@ from pemviz.errors import ConfigError, InputError, RunError
 from pemviz.processes import map_in_processes
 from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.mixture.build import CHAINS
+from pemviz.sampling.mixture.rejuvenated import SHARE
 from pemviz.sampling.registry import by_name
 
 OTHERS = "others.jsonl"
@@ -234,14 +235,16 @@ def configured(
 
 
 def _within(problem: AnyProblem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
-    """A budget that what chains simulate is part of, where they search and nothing says how."""
+    """A budget that what chains and moves simulate is part of; of chains, if nothing says how."""
     method = by_name(config.method)
-    searches = "chains" in method.settings and problem.latents > 0
-    if not searches or config.chains is not None:
+    if "chains" not in method.settings:
         return method.with_budget(config, calls)
+    if config.chains is not None or not problem.latents:
+        return method.with_budget(config, int(calls / (1.0 + SHARE)))
     each = min(int(CHAINS_SHARE * calls / CHAINS_LEVELS), CHAINS)
     chains = each if each >= LEAST_CHAINS else 0
-    return method.with_budget(replace(config, chains=chains), calls - CHAINS_LEVELS * chains)
+    calls = int((calls - CHAINS_LEVELS * chains) / (1.0 + SHARE))
+    return method.with_budget(replace(config, chains=chains), calls)
 
 
 def run_job(job: Job) -> None:

@@ -232,7 +232,7 @@ def test_a_small_study_is_gone_on_with(tmp_path, capsys):
     runs = read_runs(tmp_path / RUNS)
     assert len(runs) == 6
     assert max(one.estimate for one in runs.values()) == 1.0
-    assert {one.calls for one in runs.values()} == {240}
+    assert all(200 <= one.calls <= 240 for one in runs.values())
     printed = capsys.readouterr().out
     assert "OpenTURNS: x, 240 calls" in printed
     written = json.loads((tmp_path / "external.json").read_text(encoding="utf-8"))
@@ -244,12 +244,12 @@ def test_a_budget_in_counts_has_room_for_chains():
     """Small ones have none; nor does what begins in one way and has no noise."""
     (static,), (cart,) = chosen(["RP111"]), chosen(["CartPole, base 5"])
     small = configured(static, "mixture", "1200", ())
-    assert (small.chains, learning_budget(small).rollouts) == (0, 1200)
+    assert (small.chains, learning_budget(small).rollouts) == (0, 1000)  # a fifth more for moves
     large = configured(static, "mixture", "20000", ())
-    assert (large.chains, learning_budget(large).rollouts) == (160, 16_000)
-    assert configured(static, "auto", "20000", ()).max_rollouts == 16_000
+    assert (large.chains, learning_budget(large).rollouts) == (160, 13_333)
+    assert configured(static, "auto", "20000", ()).max_rollouts == 13_333
     assert configured(static, "mixture", "1200", ("chains=30",)).chains == 30
-    assert learning_budget(configured(cart, "mixture", "20000", ())).rollouts == 20_000
+    assert learning_budget(configured(cart, "mixture", "20000", ())).rollouts == 16_666
 
 
 def test_what_cannot_be_had_is_said(tmp_path, capsys):

@@ -29,7 +29,7 @@ from pemviz.sampling.rollouts.large_stages import (
 from pemviz.sampling.zero_variance.method import ZeroVarianceSampling
 from pemviz.types import RolloutBatch, ScoredRollouts, numbers_of, place_of
 from tests.pooled import pool_outcomes
-from tests.toy import carried_out, exact_failure_probability
+from tests.toy import carried_out, exact_failure_probability, simulated_in
 
 TRUTH = exact_failure_probability(steps=6, miss_probability=0.1)
 
@@ -84,7 +84,7 @@ def test_parts_estimate_what_the_whole_does(toy_problem, name):
         assert [stage.stage for stage in stages] == list(range(len(stages)))
         final = [stage.scored.rollouts.count for stage in stages if stage.kind == "final"]
         assert final == ([1000] * 3 if largest == 1000 else [3000])
-        assert estimate.rollouts_simulated == sum(stage.scored.rollouts.count for stage in stages)
+        assert estimate.rollouts_simulated == simulated_in(stages)
         assert estimate.unbiased_probability == pytest.approx(
             TRUTH, abs=5 * estimate.unbiased_std_error + 1e-12
         )

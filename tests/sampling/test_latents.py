@@ -363,7 +363,7 @@ def test_what_is_drawn_is_what_is_weighed(simulator, limit, once):
     """
     experiment = experiment_of(
         simulator, simulator.spec(limit), method="mixture",
-        rollouts=80, stages=3, final_rollouts=40,
+        rollouts=120, stages=3, final_rollouts=40,
     )  # fmt: skip
     method, problem = experiment.method, experiment.problem
     state, results = stepped_through(method, problem)

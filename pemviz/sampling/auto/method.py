@@ -42,6 +42,7 @@ from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
+from pemviz.sampling.mixture.rejuvenated import SHARE
 from pemviz.sampling.mixture.stages import MixtureState
 from pemviz.sampling.problem import FinishedStage, Problem, sample
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, part_sizes, weighed
@@ -247,9 +248,9 @@ class AutoSampling:
     def _within_s(self, state: AutoState) -> float:
         """Rollouts that the time left is enough for, by what those of the last stage took."""
         last, proposing = state.took[-1], state.proposing
-        count, explored = last.count, None if proposing is None else proposing.state.explored
-        if explored is not None and state.stage == len(state.plain) + 1:  # chains came with it
-            count += explored.simulated
+        count = last.count
+        if proposing is not None:
+            count += proposing.state.searched_last
         return self._left_s(state) * count / max(last.seconds, 1e-9)
 
     def _plain_step(
@@ -328,6 +329,8 @@ class AutoSampling:
             method = replace(method, rollouts=int(within) // FEWEST_STAGES)
         if within < 2 * CHAINS_COST * method.chains:
             method = replace(method, chains=0)
+        if math.isfinite(within):
+            method = replace(method, most_moves=int(SHARE * within))
         begun = method.init(problem, repetition=state.repetition, plain=plain)
         return replace(state, proposing=Proposing(method, begun))
 

@@ -351,9 +351,9 @@ class Pool:
             if not any(broken.any() and np.array_equal(broken, self.broken[o]) for o in distinct):
                 distinct.append(rule)
         pools = [self.under_rule(rule) for rule in distinct] or [self]
-        return [part for one in pools for part in one._each_conjunct()]
+        return [part for one in pools for part in one.each_conjunct()]
 
-    def _each_conjunct(self) -> "Sequence[Pool]":
+    def each_conjunct(self) -> "Sequence[Pool]":
         """Under each conjunct of the rule at hand, with shares by what it has of the estimate."""
         parts: list[Pool] = []
         for verdict in self.conjuncts.get(self.rule, ()):

@@ -1,4 +1,4 @@
-"""Failure modes that Markov chains find before proposals are fitted.
+"""Failure modes that Markov chains find before proposals are fitted, or that exploration meets.
 
 A proposal is fitted to violations that were met, and what was never met shows neither in weights
 nor in what is computed from them. Where rollouts begin at random or noise enters at each step,
@@ -8,10 +8,17 @@ a proposal is to be (Chan, Kroese 2012 fit it to such chains). One is fitted for
 that they tell apart, and these keep a share of every stage. The chains' violations are not part
 of the estimate.
 
-They check it. With w = p / q of the pool's mixture q and m = E[w | violates], rollouts of q vary by
-mu m - mu^2: where q hardly samples what the chains have found, m is large, whatever the weights of
-rollouts of q say. And the chains' own estimates of mu have no bias. That they find less says
-nothing against an average of weights, which overlooks and does not invent; finding more does.
+So are proposals to violations that exploration met, moved
+(:mod:`pemviz.sampling.mixture.rejuvenated`), but only as long as the pool cannot tell how much of
+the estimate their modes have. With w = p / q of the pool's
+mixture q, a mode with the share a of the estimate mu is expected a N mu / E[w] times at least among
+the pool's N rollouts, with E over what the model does in the mode. Where N mu / w is less than a
+handful, the mode may have any share, and nothing that is computed from weights would show it.
+
+Chains check the estimate. With m = E[w | violates], rollouts of q vary by mu m - mu^2: where q
+hardly samples what the chains have found, m is large, whatever the weights of rollouts of q say.
+And the chains' own estimates of mu have no bias. That they find less says nothing against an
+average of weights, which overlooks and does not invent; finding more does.
 """
 
 import math
@@ -29,18 +36,15 @@ from pemviz.sampling.estimates.diagnostics import (
 )
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, log_shares
-from pemviz.sampling.mixture.fit import (
-    HIDDEN_LEAST_SCATTER,
-    HIDDEN_PRICE,
-    Fit,
-    FitSettings,
-    fits_to_failures,
-)
+from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
+from pemviz.sampling.mixture.rejuvenated import Rejuvenated
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.types import Diagnostic, Estimate, ScoredRollouts
 
+LEAST_SCATTER, PRICE = 2.0, 0.3
+"""Failure modes are told apart readily: one too many costs a few rollouts."""
 SHARE = 0.25
 """Of a stage's rollouts that are not exploration proposals, sampled from the chains' proposals."""
 SURROGATE_SHARE, LATER_SHARE = 0.5, 0.25
@@ -48,6 +52,8 @@ SURROGATE_SHARE, LATER_SHARE = 0.5, 0.25
 and of every later one's, as long as the surrogate's probability is near the simulator's."""
 NEAR = 1.0
 """In decades; farther apart, they are systems that fail in other ways."""
+HANDFUL = 10.0
+"""Rollouts of a failure mode, if all of the estimate were of it, that make its share known."""
 LEVEL = 0.995
 """Of the two-sided interval that the chains' estimates are compared by: 99 %."""
 MOST_NATS = 700.0
@@ -60,16 +66,43 @@ def explored_fits(
     """A proposal for each failure mode among what the chains found."""
     if explored.scored is None:
         return ()
-    model = error_model(explored.scored.rollouts, terms)
-    pool = _pool(explored.scored, (model,), terms)
-    # what they count as under the error model, in place of a likelihood ratio
     # all count alike: by what its run found, one run's would hide the modes that others met
-    pool = replace(pool, log_ratio=np.zeros_like(pool.log_ratio))
-    return tuple(
-        fits_to_failures(
-            pool, basis, settings, least_scatter=HIDDEN_LEAST_SCATTER, price=HIDDEN_PRICE
-        )
-    )
+    return tuple(_fits_to_modes(_all_alike(explored.scored, terms), basis, settings))
+
+
+def _all_alike(scored: ScoredRollouts, terms: Terms) -> Pool:
+    """A pool of rollouts that follow the model where it violates."""
+    pool = pool_under(scored, (error_model(scored.rollouts, terms),), terms)
+    zeros = {rule: np.zeros_like(ratio) for rule, ratio in pool.rule_log_ratio.items()}
+    return replace(pool, log_ratio=np.zeros_like(pool.log_ratio), rule_log_ratio=zeros)
+
+
+def _fits_to_modes(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> Sequence[Fit]:
+    return fits_to_failures(pool, basis, settings, least_scatter=LEAST_SCATTER, price=PRICE)
+
+
+def fits_to_unknown(
+    found: Rejuvenated, pool: Pool, *, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+) -> Sequence[Fit]:
+    """A proposal for each mode whose share of the estimate the pool cannot tell yet.
+
+    Of those that exploration proposals have met, as rollouts that were moved; of each rule's.
+    """
+    moved, fits = found.scored, list[Fit]()
+    if moved is None:
+        return fits
+    own, none = pool_under(moved, pool.proposals, terms), np.zeros(pool.count)
+    for rule in terms.rules or (None,):
+        theirs, all_of_it = (each.under_rule(rule) if rule else each for each in (own, pool))
+        log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
+        unknown = log_pool_weight(theirs, pool) > log_total - math.log(HANDFUL)
+        unknown &= theirs.violated
+        if unknown.any():
+            alike = _all_alike(moved.take(unknown), terms)
+            alike = alike.under_rule(rule) if rule else alike
+            for one in alike.each_conjunct():
+                fits += _fits_to_modes(one, basis, settings) if one.violated.any() else ()
+    return [replace(fit, optimism=none) for fit in fits]
 
 
 def with_explored(
@@ -118,15 +151,13 @@ def against_chains(
     totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
     if explored.scored is None:
         return totals
-    own = _pool(explored.scored, pool.proposals, terms)
+    own = pool_under(explored.scored, pool.proposals, terms)
     own = own.under_rule(pool.rule) if pool.rule else own
     violated = own.violated
     if not violated.any():
         return totals
-    shares = log_shares(np.bincount(pool.component, minlength=own.log_ratio.shape[1]))
-    log_q = np.asarray(log_sum_exp(own.log_ratio[violated] + shares, axis=1))
-    log_p = explored.log_weight[violated]
-    log_moment = log_sum(log_p - log_q) - log_sum(log_p)
+    log_weight, log_p = log_pool_weight(own, pool)[violated], explored.log_weight[violated]
+    log_moment = log_sum(log_p + log_weight) - log_sum(log_p)
     excess = max(math.expm1(min(log_moment - log_estimate, MOST_NATS)), 0.0)
     hardly = hardly_sampled(
         by_chains=math.sqrt(excess / pool.sampled),
@@ -148,6 +179,13 @@ def _totals(log_probability: FloatArray, log_estimate: float) -> tuple[Diagnosti
     return tuple(chains_disagreement(more=centre - log_estimate, allowed=half))
 
 
-def _pool(scored: ScoredRollouts, proposals: Sequence[FittedMoves], terms: Terms) -> Pool:
+def log_pool_weight(own: Pool, pool: Pool) -> FloatArray:
+    """Log weights ``[N]`` of other rollouts, had the pool's proposals drawn them in its shares."""
+    shares = log_shares(np.bincount(pool.component, minlength=own.log_ratio.shape[1]))
+    return -np.asarray(log_sum_exp(own.log_ratio + shares, axis=1))
+
+
+def pool_under(scored: ScoredRollouts, proposals: Sequence[FittedMoves], terms: Terms) -> Pool:
+    """The pool of rollouts that none of its proposals drew."""
     component = np.zeros(scored.rollouts.count, dtype=np.int64)
     return pool_of(scored, component, proposals, terms)

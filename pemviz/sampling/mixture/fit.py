@@ -2,9 +2,6 @@
 
 Of each rule there are proposals fitted to its violations; where it is a conjunction
 (:func:`pemviz.stl.conjuncts`), of each conjunct, as a rare one's would count for nothing among all.
-Beside them are failure modes that these would hardly draw. Such a mode looks improbable at first,
-because the broad proposals that met it missed more often than needed: it is learned about on its
-own before the weights pass judgement on it.
 """
 
 from collections.abc import Sequence
@@ -14,7 +11,7 @@ from typing import cast
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
+from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.proposals.defensive import LARGEST_SHARE
 from pemviz.proposals.latent_moves import LatentMeans, fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
@@ -24,13 +21,12 @@ from pemviz.proposals.offset_logistic_fit import (
     fit_offset_logistic,
     leave_one_out_loss,
 )
-from pemviz.sampling.estimates.importance_weights import log_sum, smoothed_weights
+from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
-from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_ratios
+from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule
 from pemviz.sampling.mixture.failure_modes import (
     LEAST_SCATTER,
-    SAMPLE,
     WeightedRollouts,
     at_most,
     failure_modes_of,
@@ -58,27 +54,16 @@ BLIND = 1e6
 """Times these penalties where a proposal is not to look at the state."""
 FEW_FEATURES = 3
 EXPLORING_SHARE = 0.25
-"""Of the rollouts that are not exploration proposals, for a level above 0, and for hidden failure
-modes."""
+"""Of the rollouts that are not exploration proposals, for a level above 0, for failure modes whose
+share is not known, and for what is blind to the state."""
 LARGEST_LEVEL = 0.5
 """Of the probability under the error model that elites have between them."""
-RELEVANT_SHARE = 1e-3
-"""Of the estimate, from a hidden failure mode that is explored in every stage that learns."""
-HARDLY_SAMPLED = 3.0
-"""Log of how many times more often exploration proposals draw a rollout than the main proposals
-do."""
-EVEN_SHARE = 0.9
-"""Of the violating rollouts, which they count as where failure modes are told apart."""
 WIDE_SHARE = 0.25
 """Of a main proposal's rollouts, sampled with a larger share of the error model."""
 FEW_STEPS, WIDEST, WIDEST_SHARE = 8.0, 0.3, 0.5
 """Where rollouts all start alike and main proposals leave the error model in fewer steps than
 these, the share of the error model, and of the rollouts that take it: over few steps a large one
 hardly makes failures rarer, and one detection more is a large part of such a chain."""
-HIDDEN_LEAST_SCATTER, HIDDEN_PRICE = 2.0, 0.3
-KNOWN_ESS = 10.0
-"""A failure mode is explored until its weights have this effective sample size."""
-FEW_ELITES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,20 +148,21 @@ def next_proposals(
     settings: FitSettings,
     *,
     defensive: float,
+    unknown: Sequence[Fit],
     explores: bool,
     for_final: bool,
 ) -> tuple[Fit, ...]:
     """With their shares of the rollouts that do not explore, the main proposals first.
 
     Rules and conjuncts that nothing has broken yet, beside others that something has, are searched
-    for like hidden failure modes: a share of the rollouts goes towards them, and none of the final
-    batch.
+    for: a share of the rollouts goes towards them, and none of the final batch.
 
     Args:
         pool: What is learned from.
         basis: Monomials.
         settings: How.
         defensive: Share of the error model in every outcome's probability.
+        unknown: Proposals for failure modes whose share of the estimate the pool cannot tell.
         explores: Whether the stage is one of the first.
         for_final: Whether the final batch is sampled from them.
     """
@@ -194,14 +180,6 @@ def next_proposals(
         hard = alike and all(fit.is_short for fit in main)
         share, wide = (WIDEST_SHARE, WIDEST) if hard else (WIDE_SHARE, LARGEST_SHARE)
         main = [one for fit in main for one in _with_wide(fit, share=share, defensive=wide)]
-    least_share = 0.0 if explores else RELEVANT_SHARE
-    hidden = [
-        fit
-        for one in met
-        for fit in _fit_to_hidden_modes(
-            one, basis, settings, main=main, defensive=defensive, least_share=least_share
-        )
-    ]
     towards: list[Fit] = []
     if not for_final and len(met) < len(pools):
         unmet = [one for one in pools if not one.violated.any()]
@@ -210,9 +188,9 @@ def next_proposals(
         towards += [fit for one in pools for fit in _fit_to_level(one, basis, settings)]
     blind = [fit for one in met for fit in _fit_blindly(one, basis, settings)]
     if hard:
-        hidden = [replace(fit, defensive=WIDEST) for fit in hidden]
+        unknown = [replace(fit, defensive=WIDEST) for fit in unknown]
         towards = [replace(fit, defensive=WIDEST) for fit in towards]
-    exploring = [fits for fits in (hidden, blind, towards) if fits]
+    exploring = [fits for fits in (unknown, blind, towards) if fits]
     rest = 1.0 - EXPLORING_SHARE * len(exploring)
     return (
         *(replace(fit, share=rest * fit.share) for fit in main),
@@ -316,67 +294,6 @@ def _fit_to_level(pool: Pool, basis: PolynomialBasis, settings: FitSettings) -> 
     if elites.threshold <= VIOLATION_THRESHOLD:
         return ()
     return (fitted(pool, basis, elites, _weights(pool, elites, exponent), settings),)
-
-
-def _fit_to_hidden_modes(
-    pool: Pool,
-    basis: PolynomialBasis,
-    settings: FitSettings,
-    *,
-    main: Sequence[Fit],
-    defensive: float,
-    least_share: float,
-) -> Sequence[Fit]:
-    """A proposal for each failure mode that the ``main`` proposals would hardly sample.
-
-    Modes are told apart by their chains of outcomes, nearly without weights; those that carry less
-    of the estimate than ``least_share`` are left out.
-    """
-    (ratio,) = log_ratios(
-        pool.decisions,
-        [fit.moves for fit in main],
-        count=pool.count,
-        defensive=defensive,
-        rules=pool.rules,
-        under=(pool.rule,),
-        latents=pool.latents,
-    )
-    by_main = np.asarray(log_sum_exp(ratio + np.log([fit.share for fit in main]), axis=1))
-    hardly = pool.violated & (pool.log_ratio[:, 0] - by_main > HARDLY_SAMPLED)
-    hidden = Elites(VIOLATION_THRESHOLD, hardly)
-    if hidden.count == 0:
-        return ()
-    log_weight = pool.log_weight[hidden.chosen]
-    even = smoothing_exponent(log_weight, least_ess=EVEN_SHARE * hidden.count)
-    weight = _weights(pool, hidden, even)
-    learned, rollouts = _learned_from(pool, weight), np.flatnonzero(weight > 0.0)
-    few, log_all = learned.resampled(SAMPLE), log_sum(pool.log_weight[pool.violated])
-    ridge, of_noise = _ridge(basis, settings, varied=pool.varied), _noise_ridge(basis, settings)
-    first = fit_offset_logistic(few.outcomes, ridge=ridge, start=np.zeros(ridge.size))
-    means = None
-    if few.latents is not None:
-        means = fit_means(few.latents, few.weight, ridge=of_noise)[0]
-    modes = failure_modes_of(
-        few,
-        first.coefficients,
-        means=means,
-        ridge=ridge,
-        noise_ridge=of_noise,
-        least_scatter=HIDDEN_LEAST_SCATTER,
-        price=HIDDEN_PRICE,
-    )
-    fits: list[Fit] = []
-    for responsibility in modes.responsibilities(learned).T:
-        chosen = np.zeros_like(hidden.chosen)
-        chosen[rollouts[responsibility > 0.5]] = True
-        own, log_weight = Elites(VIOLATION_THRESHOLD, chosen), pool.log_weight[chosen]
-        if not own.count or float(np.exp(log_sum(log_weight) - log_all)) < least_share:
-            continue
-        if effective_sample_size(log_weight) <= KNOWN_ESS:
-            least = _least_ess(own.count, FEW_ELITES)
-            weight = _weights(pool, own, smoothing_exponent(log_weight, least_ess=least))
-            fits.append(fitted(pool, basis, own, weight, settings))
-    return fits
 
 
 def fitted(

@@ -19,9 +19,9 @@ or, where rollouts all start alike and a failure takes few steps, half of them t
 half of the stages, while the weights do not tell the probability of a violation well, a quarter
 come from one fitted to the lowest level of robustness whose probability they do tell
 (:mod:`pemviz.sampling.mixture.fit`).
-Another quarter comes from proposals for failure modes that the newest would hardly draw, in the
-second half only where they carry a thousandth of the estimate already
-(:mod:`pemviz.sampling.mixture.fit`). With several rules each that was broken has
+Another quarter comes from proposals for failure modes that exploration proposals have met, as long
+as the rollouts cannot tell how much of the estimate these have
+(:mod:`pemviz.sampling.mixture.explored`). With several rules each that was broken has
 proposals of its own, in equal shares, and so has each conjunct of a rule, by what it has of the
 estimate; a proposal and a rollout's likelihood go as far as the rule
 at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
@@ -44,6 +44,7 @@ unbiased figure beside the estimate is the same average over the final rollouts 
 over what they were sampled from.
 """
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -63,12 +64,14 @@ from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreemen
 from pemviz.sampling.mixture.explored import (
     against_chains,
     explored_fits,
+    fits_to_unknown,
     with_explored,
     with_taught,
 )
 from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
+from pemviz.sampling.mixture.rejuvenated import SHARE, SPAWN_KEY, Rejuvenated
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.mixture.surrogate import FIRST_REPETITION, LearnedOnSurrogate, Surrogate
 from pemviz.sampling.problem import Problem
@@ -95,6 +98,7 @@ class MixtureSampling:
         largest_part: How many final rollouts are sampled at once.
         enough: Violations after which a stage of more rollouts, from which is learned, is over.
         chains: Rollouts a level of the chains that search for failure modes first; 0: none do.
+        most_moves: Rollouts at most that violations are moved by, where time is short.
         surrogate: On which proposals are learned first; ``None``: there is none.
     """
 
@@ -107,6 +111,7 @@ class MixtureSampling:
     largest_part: int = LARGEST_PART
     enough: int = LARGEST_PART // 2
     chains: int = 0
+    most_moves: float = math.inf
     surrogate: Surrogate | None = None
     name: str = "mixture"
 
@@ -152,6 +157,9 @@ class MixtureSampling:
         basis = state.basis or first_basis(sampled.joining.sample, state.features)
         component = self._components(state, sampled.count)
         pool = self._pooled(state, basis, sampled, component)
+        if not last:
+            moved = self._rejuvenated(problem, state, sampled, component)
+            state = replace(state, rejuvenated=moved)
         advanced = replace(
             state,
             stage=state.stage + 1,
@@ -170,6 +178,7 @@ class MixtureSampling:
             result = replace(result, kept={**result.kept, **state.on_surrogate.kept})
         if last:
             return advanced, result
+        result = replace(result, kept={**result.kept, **state.rejuvenated.kept})
         return self._learned(
             advanced, result, first=0 if state.pool is None else state.pool.sampled
         )
@@ -206,6 +215,13 @@ class MixtureSampling:
             basis,
             self.settings,
             defensive=stages.defence(state.steps),
+            unknown=fits_to_unknown(
+                state.rejuvenated,
+                pool,
+                terms=self._terms(state, basis),
+                basis=basis,
+                settings=self.settings,
+            ),
             explores=self._explores(state.stage),
             for_final=self._is_last(state),
         )
@@ -243,6 +259,22 @@ class MixtureSampling:
         if not estimate.failures:
             return LearnedOnSurrogate(estimate)
         return LearnedOnSurrogate(estimate, state.fits, state.basis)
+
+    def _rejuvenated(
+        self, problem: Problem, state: MixtureState, sampled: SampledStage, component: IntArray
+    ) -> Rejuvenated:
+        """With some of what the stage has met."""
+        joining = sampled.joining_beside(component)
+        finished = problem.finished(state.repetition, state.stage)
+        keys = state.repetition, SPAWN_KEY, state.stage
+        return state.rejuvenated.after(
+            stages.watching(problem),
+            joining.scored,
+            component if joining.row is None else component[joining.row],
+            most=int(min(SHARE * self._planned_rollouts, self.most_moves)),
+            seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
+            kept={} if finished is None else finished.kept,
+        )
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
         return explore(
@@ -328,8 +360,8 @@ class MixtureSampling:
         if state.explored is not None and state.basis is not None:
             terms = self._terms(state, state.basis)
             disagree = (*disagree, *against_chains(state.explored, pool, found, terms=terms))
-            simulated = found.rollouts_simulated + state.explored.simulated
-            found = replace(found, rollouts_simulated=simulated)
+        simulated = found.rollouts_simulated + state.searching
+        found = replace(found, rollouts_simulated=simulated)
         return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))
 
     def extended(self, *, stages: int, rollouts: int) -> "MixtureSampling":

@@ -39,6 +39,7 @@ from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialB
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
+from pemviz.sampling.mixture.rejuvenated import Rejuvenated
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.problem import FinishedStage, Problem, ScoredRule, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
@@ -244,6 +245,7 @@ class MixtureState:
         steps: Of a rollout.
         explored: What chains found; ``None``: nothing was searched for.
         explored_fits: Proposals fitted to that; empty before the first stage.
+        rejuvenated: Violations that exploration proposals have met, moved.
         on_surrogate: What a surrogate's rollouts have taught; ``None``: nothing was.
     """
 
@@ -268,6 +270,7 @@ class MixtureState:
     steps: int = 0
     explored: Explored | None = None
     explored_fits: tuple[Fit, ...] = ()
+    rejuvenated: Rejuvenated = field(default_factory=Rejuvenated)
     on_surrogate: LearnedOnSurrogate | None = None
 
     @property
@@ -277,6 +280,18 @@ class MixtureState:
         if basis is None or self.starts or not (self.fits and self.fits[0].is_short):
             return False
         return has_many_features(basis, defensive=defence(self.steps))
+
+    @property
+    def searching(self) -> int:
+        """Rollouts beside the stages', in which failure modes were searched for."""
+        by_chains = 0 if self.explored is None else self.explored.simulated
+        return by_chains + self.rejuvenated.simulated
+
+    @property
+    def searched_last(self) -> int:
+        """Those of them that came with the stage before."""
+        by_chains = self.explored.simulated if self.explored and self.stage == 1 else 0
+        return by_chains + self.rejuvenated.newest
 
     @property
     def final(self) -> slice:

@@ -165,7 +165,7 @@ def _in_step(
         nonlocal simulated
         numbers = RandomNumbers.concatenate([each.numbers for each in wanted.values()])
         try:
-            rollouts, scores = _simulated(problem, numbers)
+            rollouts, scores = simulated_from(problem, numbers)
         except SimulationError as error:
             places = {i: (each.before, each.numbers.count) for i, each in wanted.items()}
             tell_run(error, places)
@@ -179,8 +179,12 @@ def _in_step(
     return in_step(going, answer)
 
 
-def _simulated(problem: Problem, numbers: RandomNumbers) -> Simulated:
-    """What comes of random numbers, a batch at a time."""
+def simulated_from(problem: Problem, numbers: RandomNumbers) -> Simulated:
+    """What comes of random numbers, a batch at a time.
+
+    Raises:
+        SimulationError: Something raises, is no finite number, or a batch takes too long.
+    """
     tasks, size = list[BatchTask](), problem.batch_rollouts
     for start in range(0, numbers.count, size):
         some = numbers.take(slice(start, start + size))
@@ -202,7 +206,8 @@ def _simulated(problem: Problem, numbers: RandomNumbers) -> Simulated:
     return rollouts, ranked(problem, rollouts.signals)
 
 
-def _shape(problem: Problem) -> Shape:
+def shape_of(problem: Problem) -> Shape:
+    """How many random numbers a rollout takes."""
     counts, steps = latent_counts(problem.simulator), problem.simulator.states - 1
     return Shape(steps, counts.at_start, steps // problem.turns, counts.noise, counts.seeds)
 
@@ -217,7 +222,7 @@ def _finding(
     problem: Problem, *, count: int, generator: np.random.Generator
 ) -> Going[tuple[SubsetSimulation, int]]:
     """A run that finds levels and learns of moves, and how many rollouts it took."""
-    shape, levels, simulated = _shape(problem), list[Level](), count
+    shape, levels, simulated = shape_of(problem), list[Level](), count
     tuning = Tuning.begun(shape)
     population = yield from _begun(shape, count, generator)
     while len(levels) < MOST_LEVELS:
@@ -259,7 +264,7 @@ def _run(
     problem: Problem, levels: Sequence[Level], *, count: int, generator: np.random.Generator
 ) -> Going[ParticleRun]:
     """One run."""
-    shape, shares, simulated = _shape(problem), list[float](), count
+    shape, shares, simulated = shape_of(problem), list[float](), count
     population = yield from _begun(shape, count, generator)
     for level in levels:
         below = np.flatnonzero(population.score <= level.threshold)
