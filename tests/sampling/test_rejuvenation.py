@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.trust_cases import trust_cases
 from benchmarks.trust_systems import WINDOW, MissesByWindow, Windows
 from pemviz.config import ExperimentConfig
 from pemviz.runs.engine import run
@@ -13,9 +14,14 @@ from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.explored import fits_to_unknown
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.rejuvenated import SHARE, SIMULATED
-from pemviz.sampling.problem import FinishedStage, Problem
+from pemviz.sampling.problem import FinishedStage, Problem, judged
 from pemviz.sampling.subset.moves import RandomNumbers
-from pemviz.sampling.subset.rejuvenation import most_moves, random_numbers, rejuvenated
+from pemviz.sampling.subset.rejuvenation import (
+    most_moves,
+    random_numbers,
+    rarest_violated,
+    rejuvenated,
+)
 from pemviz.sampling.subset.run import shape_of, simulated_from
 from tests.latent_toys import Drift, LargestError
 from tests.lattice_walk import ToyPem, ToySimulator, toy_problem_of
@@ -101,6 +107,30 @@ def test_what_a_violation_does_not_need_is_as_the_model_has_it():
     assert abs(elsewhere.mean() - 0.1) < 5.0 * np.sqrt(0.09 / elsewhere.size)
     again, _ = simulated_from(problem, numbers)
     np.testing.assert_array_equal(again.detected, moved.detected)
+
+
+def test_a_rare_conjunct_stays_violated():
+    """Of an until that is violated in two ways, the one that the fewest rollouts show."""
+    (until,) = (case for case in trust_cases() if case.name == "walk: until")
+    problem = stages.watching(until.experiment(replace(until.config, method="mixture")).problem)
+    scored = first_stage(problem, rollouts=1000)
+    rollouts = scored.rollouts.take(scored.violated)
+    target = rarest_violated(problem, rollouts)
+    (conjuncts,) = problem.conjuncts.values()
+    before, after = (
+        np.stack([judged(one, each, lost="end")[1] for one in conjuncts])
+        for each in (
+            rollouts,
+            rejuvenated(problem, rollouts, generator=np.random.default_rng(7))[1],
+        )
+    )
+    assert before.any(axis=0).all()
+    counts = np.bincount(target)
+    assert 10 <= counts.min() < counts.max() / 2
+    np.testing.assert_array_equal(
+        target == before.sum(axis=1).argmin(), before[before.sum(axis=1).argmin()]
+    )
+    assert after[target, np.arange(target.size)].all()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.run_folder import carry_out
 from pemviz.sampling.estimates.trust import interval_caveats
+from pemviz.sampling.mixture.rejuvenated import SHARE
 from tests.latent_toys import Drift
 from tests.lattice_walk import ToyPem, ToySimulator, toy_probability_by_recursion
 from tests.slot_toys import TwoCars
@@ -73,10 +74,12 @@ def test_one_that_is_right_saves_rollouts_and_says_what_it_has_seen():
     assert result.estimate.rollouts_simulated < 0.6 * plain.estimate.rollouts_simulated
     found = result.surrogate
     assert plain.surrogate is None
-    assert (found.name, found.rollouts) == ("surrogate", 4_400)
+    assert found.name == "surrogate"
+    assert 4_400 < found.rollouts <= 4_400 + SHARE * 4_500  # violations were moved
     assert found.probability == pytest.approx(EXACT, rel=0.3)
     told = summary_text(result)
-    assert "learned first on 4400 rollouts of surrogate surrogate, whose own failure" in told
+    words = f"learned first on {found.rollouts} rollouts of surrogate surrogate, whose own failure"
+    assert words in told
 
 
 def test_its_probability_is_its_own():
@@ -108,7 +111,7 @@ def test_repetitions_have_rollouts_of_their_own_on_it():
         run(experiment(SURROGATES["right"], seed=4, repetitions=1)).surrogate.probability,
         2 * result.surrogate.probability,
     ]
-    assert result.surrogate.rollouts == 8_800
+    assert 8_800 < result.surrogate.rollouts <= 8_800 + SHARE * 9_000
     assert each[1] - each[0] != each[0]
     assert each[1] - each[0] == pytest.approx(EXACT, rel=0.3)
 

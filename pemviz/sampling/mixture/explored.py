@@ -10,10 +10,10 @@ of the estimate.
 
 So are proposals to violations that exploration met, moved
 (:mod:`pemviz.sampling.mixture.rejuvenated`), but only as long as the pool cannot tell how much of
-the estimate their modes have. With w = p / q of the pool's
-mixture q, a mode with the share a of the estimate mu is expected a N mu / E[w] times at least among
-the pool's N rollouts, with E over what the model does in the mode. Where N mu / w is less than a
-handful, the mode may have any share, and nothing that is computed from weights would show it.
+the estimate their modes have. With w = p / q of the pool's mixture q, a mode with the share a of
+the estimate mu is expected a N mu / E[w] times at least among the pool's N rollouts, with E over
+what the model does in the mode. Where N mu / w is less than a handful, the mode may have any share,
+and nothing that is computed from weights would show it.
 
 Chains check the estimate. With m = E[w | violates], rollouts of q vary by mu m - mu^2: where q
 hardly samples what the chains have found, m is large, whatever the weights of rollouts of q say.

@@ -273,7 +273,7 @@ class MixtureSampling:
             component if joining.row is None else component[joining.row],
             most=int(min(SHARE * self._planned_rollouts, self.most_moves)),
             seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
-            kept={} if finished is None else finished.kept,
+            kept=None if finished is None else finished.kept,
         )
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
@@ -373,8 +373,8 @@ class MixtureSampling:
         surrogate, found = self.surrogate, state.on_surrogate
         if surrogate is None or found is None:
             return None
-        probability = found.estimate.probability
-        return SurrogateLearning(surrogate.simulator.name, surrogate.simulated, probability)
+        estimate, name = found.estimate, surrogate.simulator.name
+        return SurrogateLearning(name, estimate.rollouts_simulated, estimate.probability)
 
     def pooled_log_weight(self, state: MixtureState) -> FloatArray:
         """Log weights ``[N]`` of all rollouts by the balance heuristic, as they were sampled.

@@ -26,6 +26,8 @@ SHARE = 0.2
 """Of the rollouts that are planned, so many more at most are simulated to move some."""
 MOST, FEWEST = 10, 4
 """Of a stage's violations; after the first stage it is not worth waiting for fewer."""
+MOST_LOOKED_AT = 1_000
+"""Of a stage's violations, among which these are chosen."""
 SPAWN_KEY = 2**32 - 4
 """Of the children of a repetition's seed that violations are moved by."""
 KEPT, SIMULATED = "moved.", "moved.simulated"
@@ -58,7 +60,7 @@ class Rejuvenated:
         *,
         most: int,
         seeds: np.random.SeedSequence,
-        kept: Mapping[str, AnyArray],
+        kept: Mapping[str, AnyArray] | None,
     ) -> "Rejuvenated":
         """With some of a stage's violations.
 
@@ -68,12 +70,14 @@ class Rejuvenated:
             component: What each was sampled from, ``[n]``.
             most: Rollouts that all stages' may take.
             seeds: Of the moves.
-            kept: What an interrupted run left of the stage.
+            kept: What an interrupted run left of the stage, if it did.
 
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        if SIMULATED in kept:
+        if kept is not None and SIMULATED not in kept:
+            return Rejuvenated(self.scored, self.simulated)
+        if kept is not None:
             arrays = {name: kept[f"{KEPT}{name}"] for name in ("outcomes", "start", "noise")}
             with of_no_rollouts():  # of the stage
                 rollouts, _ = simulated_from(problem, RandomNumbers(**arrays))
@@ -86,11 +90,11 @@ class Rejuvenated:
         if few < (FEWEST if self.simulated else 1):
             return Rejuvenated(self.scored, self.simulated)
         generator = np.random.default_rng(seeds)
-        # as many of each rule or conjunct as of any other
+        met = generator.permutation(met)[:MOST_LOOKED_AT]
         of_which = rarest_violated(problem, newest.rollouts.take(met))
-        order = generator.permutation(met.size)
-        before = [np.count_nonzero(of_which[order[:k]] == of_which[i]) for k, i in enumerate(order)]
-        some = np.sort(met[order[np.argsort(before, kind="stable")[:few]]])
+        # as many of each rule or conjunct as of any other
+        place = np.sum(np.tril(of_which[:, None] == of_which), axis=1)
+        some = np.sort(met[np.argsort(place, kind="stable")[:few]])
         numbers, rollouts, simulated = rejuvenated(
             problem, newest.rollouts.take(some), generator=generator
         )

@@ -45,11 +45,6 @@ class Surrogate:
     learning_stages: int
     rollouts: int
 
-    @property
-    def simulated(self) -> int:
-        """Rollouts of a repetition."""
-        return (self.learning_stages + 1) * self.rollouts
-
     def in_place(self, problem: Problem) -> Problem:
         """The same question about the surrogate, whose rollouts this process simulates."""
 

@@ -20,6 +20,7 @@ from scipy.special import expit, ndtri
 from pemviz.arrays import BoolArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.sampling.problem import Problem, judged
+from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.subset.moves import RandomNumbers, Shape
 from pemviz.sampling.subset.run import shape_of, simulated_from
 from pemviz.types import RolloutBatch
@@ -84,7 +85,7 @@ def rejuvenated(
         with of_no_rollouts():  # of a stage
             found, _ = simulated_from(problem, moved)
         simulated += rows.size
-        accepted = _violated(problem, found)[np.arange(rows.size), kept[rows]]
+        accepted = _violated(problem, found)[np.arange(rows.size), kept[rows]] & ~lost_rows(found)
         place = np.arange(numbers.count)
         place[rows[accepted]] = numbers.count + np.flatnonzero(accepted)
         numbers = RandomNumbers.concatenate([numbers, moved]).take(place)
