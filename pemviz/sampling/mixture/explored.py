@@ -13,7 +13,8 @@ So are proposals to violations that exploration met, moved
 the estimate their modes have. With w = p / q of the pool's mixture q, a mode with the share a of
 the estimate mu is expected a N mu / E[w] times at least among the pool's N rollouts, with E over
 what the model does in the mode. Where N mu / w is less than a handful, the mode may have any share,
-and nothing that is computed from weights would show it.
+and nothing that is computed from weights would show it; up to a hundred, a share of some per cent
+is told by a handful.
 
 Chains check the estimate. With m = E[w | violates], rollouts of q vary by mu m - mu^2: where q
 hardly samples what the chains have found, m is large, whatever the weights of rollouts of q say.
@@ -52,8 +53,9 @@ SURROGATE_SHARE, LATER_SHARE = 0.5, 0.25
 and of every later one's, as long as the surrogate's probability is near the simulator's."""
 NEAR = 1.0
 """In decades; farther apart, they are systems that fail in other ways."""
-HANDFUL = 10.0
-"""Rollouts of a failure mode, if all of the estimate were of it, that make its share known."""
+ENOUGH = 100.0
+"""Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
+two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
 LEVEL = 0.995
 """Of the two-sided interval that the chains' estimates are compared by: 99 %."""
 MOST_NATS = 700.0
@@ -95,7 +97,7 @@ def fits_to_unknown(
     for rule in terms.rules or (None,):
         theirs, all_of_it = (each.under_rule(rule) if rule else each for each in (own, pool))
         log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
-        unknown = log_pool_weight(theirs, pool) > log_total - math.log(HANDFUL)
+        unknown = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
         unknown &= theirs.violated
         if unknown.any():
             alike = _all_alike(moved.take(unknown), terms)
