@@ -123,8 +123,10 @@ class Windows:
 
     def initial(self, *, count: int) -> StateBatch:
         """``count`` rollouts at their first step."""
-        none = dict.fromkeys((CLOCK, MISSED, MOST), np.zeros(count))
-        return StateBatch(step=np.zeros((), dtype=np.int64), signals=none)
+        none = np.zeros(count)
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64), signals={CLOCK: none, MISSED: none, MOST: none}
+        )
 
     def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
         """One miss more in a window where it was missed ``[N]``."""

@@ -346,7 +346,7 @@ def test_a_file_without_an_end_is_not_read_to_its_end(tmp_path, monkeypatch):
 
 
 SIZES = {
-    "stages": 1, "rollouts": 20, "final_rollouts": 20, "epochs": 5,
+    "stages": 1, "rollouts": 12, "final_rollouts": 12, "epochs": 5,
     "measured_memory": False,
 }  # fmt: skip
 

@@ -17,7 +17,9 @@ from pemviz.types import Diagnostic, Estimate
 
 
 def summarise_repetitions(estimates: Sequence[Estimate]) -> Estimate:
-    """The mean of independent repetitions and the standard error between them.
+    """The mean of independent repetitions, and how far it may be off by their spread.
+
+    Where that happens to be small, by what each repetition knows of its own error.
 
     With one repetition this is that repetition's estimate. With several, diagnostics that
     belong to a set of weights are the least favourable among the repetitions.
@@ -92,9 +94,26 @@ def _repetition_interval(
         return None, None
     if _all_rest_on("runs", estimates):
         return _interval_of_mean(estimates, mean=mean)
-    return log_normal_interval(
+    return _interval_by_weights(estimates, mean=mean, error=error)
+
+
+def _interval_by_weights(
+    estimates: Sequence[Estimate], *, mean: float, error: float
+) -> tuple[float, float]:
+    """By the spread between repetitions, but as wide as what each knows of its own error.
+
+    Two that happen to agree tell nothing of how far both are off.
+    """
+    low, high = log_normal_interval(
         math.log(mean), relative_error=error / mean, degrees_of_freedom=len(estimates) - 1
     )
+    own = [estimate.std_error for estimate in estimates]
+    known = [each for each in own if each is not None]
+    if len(known) < len(own):
+        return low, high
+    within = math.hypot(*known) / len(own)
+    lower, higher = log_normal_interval(math.log(mean), relative_error=within / mean)
+    return min(low, lower), max(high, higher)
 
 
 def _interval_of_mean(
