@@ -78,7 +78,7 @@ def test_auto_learns_from_more_where_proposals_are_hard_to_learn():
     rollouts = []
     for system in (FEW, LATE):
         own = AutoSampling(
-            mixture=method(),
+            mixture=method(seed=1),
             first=60,
             most_looked_at=60,
             most_plain=60,
