@@ -18,7 +18,7 @@ from pemviz.sampling.mixture.rejuvenated import SHARE, SIMULATED
 from pemviz.sampling.problem import FinishedStage, Problem, judged
 from pemviz.sampling.subset.moves import RandomNumbers
 from pemviz.sampling.subset.rejuvenation import (
-    most_moves,
+    moves_of_each,
     random_numbers,
     rarest_violated,
     rejuvenated,
@@ -101,7 +101,7 @@ def test_what_a_violation_does_not_need_is_as_the_model_has_it():
     problem = stages.watching(experiment_of(system).problem)
     everywhere = misses_needed(problem, np.ones(119, dtype=bool), count=200)
     numbers, moved, simulated = rejuvenated(problem, everywhere, generator=np.random.default_rng(4))
-    assert simulated <= 200 * most_moves(problem)
+    assert simulated <= 200 * moves_of_each(problem)
     missed = ~moved.detected
     assert missed[:, LATE].all()
     elsewhere = missed[:, :89]
@@ -197,8 +197,8 @@ def test_a_failure_mode_that_was_met_is_learned_until_its_share_is_known():
     assert estimate.ci_low < FAR.probability(miss=0.05) < estimate.ci_high
 
 
-def test_moves_take_a_fifth_more_rollouts_at_most_and_count():
-    experiment = experiment_of(FAR, method="mixture")
+def counting(problem):
+    """The problem, and a list that gets the size of each batch that is simulated."""
     simulated = []
 
     def counted(simulator, pem, tasks):
@@ -207,9 +207,15 @@ def test_moves_take_a_fifth_more_rollouts_at_most_and_count():
                 simulated.append(len(task.uniforms))
                 yield task
 
-        return experiment.problem.run_batches(simulator, pem, noted())
+        return problem.run_batches(simulator, pem, noted())
 
-    watched = replace(experiment, problem=replace(experiment.problem, run_batches=counted))
+    return replace(problem, run_batches=counted), simulated
+
+
+def test_moves_take_a_fifth_more_rollouts_at_most_and_count():
+    experiment = experiment_of(FAR, method="mixture")
+    problem, simulated = counting(experiment.problem)
+    watched = replace(experiment, problem=problem)
     (*_, (state, _)) = stages_of(watched)
     planned = 12 * experiment.config.rollouts
     assert state.pool.sampled < sum(simulated) <= (1.0 + SHARE) * state.pool.sampled
@@ -222,22 +228,14 @@ def test_an_interrupted_run_simulates_what_was_moved_once():
     experiment = experiment_of(FAR, method="mixture", stages=4)
     method, problem = experiment.method, experiment.problem
     whole = list(stages_of(experiment))
-    simulated = []
-
-    def counted(simulator, pem, tasks):
-        def noted():
-            for task in tasks:
-                simulated.append(len(task.uniforms))
-                yield task
-
-        return problem.run_batches(simulator, pem, noted())
 
     def finished(repetition, stage):
         if stage >= 2:
             return None
         return FinishedStage(whole[stage][1].scored, whole[stage][1].kept)
 
-    resumed = replace(problem, run_batches=counted, finished=finished)
+    problem, simulated = counting(problem)
+    resumed = replace(problem, finished=finished)
     state = method.init(resumed, repetition=0)
     state, stage = method.step(resumed, state)
     moved = whole[0][1].kept

@@ -18,7 +18,7 @@ from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
 from pemviz.sampling.problem import Problem, score
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.subset.moves import RandomNumbers
-from pemviz.sampling.subset.rejuvenation import most_moves, rarest_violated, rejuvenated
+from pemviz.sampling.subset.rejuvenation import moves_of_each, rarest_violated, rejuvenated
 from pemviz.sampling.subset.run import simulated_from
 from pemviz.types import ScoredRollouts
 
@@ -31,6 +31,7 @@ MOST_LOOKED_AT = 1_000
 SPAWN_KEY = 2**32 - 4
 """Of the children of a repetition's seed that violations are moved by."""
 KEPT, SIMULATED = "moved.", "moved.simulated"
+NUMBERS = "outcomes", "start", "noise"
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Rejuvenated:
         if kept is not None and SIMULATED not in kept:
             return Rejuvenated(self.scored, self.simulated)
         if kept is not None:
-            arrays = {name: kept[f"{KEPT}{name}"] for name in ("outcomes", "start", "noise")}
+            arrays = {name: kept[f"{KEPT}{name}"] for name in NUMBERS}
             with of_no_rollouts():  # of the stage
                 rollouts, _ = simulated_from(problem, RandomNumbers(**arrays))
             own = {name: values for name, values in kept.items() if name.startswith(KEPT)}
@@ -86,7 +87,7 @@ class Rejuvenated:
         lost = lost_rows(newest.rollouts)
         met = np.flatnonzero(newest.violated & (component == EXPLORATION) & ~lost)
         left = most - self.simulated
-        few = min(MOST, left // most_moves(problem), met.size)
+        few = min(MOST, left // moves_of_each(problem), met.size)
         if few < (FEWEST if self.simulated else 1):
             return Rejuvenated(self.scored, self.simulated)
         generator = np.random.default_rng(seeds)
@@ -98,7 +99,7 @@ class Rejuvenated:
         numbers, rollouts, simulated = rejuvenated(
             problem, newest.rollouts.take(some), generator=generator
         )
-        own = {f"{KEPT}{name}": getattr(numbers, name) for name in ("outcomes", "start", "noise")}
+        own = {f"{KEPT}{name}": getattr(numbers, name) for name in NUMBERS}
         own[SIMULATED] = np.array(simulated)
         return self._with(score(problem, rollouts), simulated, own)
 

@@ -56,7 +56,7 @@ class Move:
         return (Move(self.first, self.end, 0.5 * self.angle),) if turns else ()
 
 
-def most_moves(problem: Problem) -> int:
+def moves_of_each(problem: Problem) -> int:
     """How many each rollout makes at most."""
     shape = shape_of(problem)
     halvings = max(1, math.ceil(math.log2(shape.steps + 1)))
@@ -76,7 +76,7 @@ def rejuvenated(
     first = [Move(-1, 0)] * (shape.start > shape.seeds) + [Move(0, shape.steps)]
     kept = rarest_violated(problem, rollouts)
     waiting: list[list[Move]] = [list(first) for _ in range(numbers.count)]
-    for _ in range(most_moves(problem)):
+    for _ in range(moves_of_each(problem)):
         rows = np.array([row for row, some in enumerate(waiting) if some], dtype=np.int64)
         if not rows.size:
             break
