@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.trust_systems import (
     MOST,
-    WINDOW,
     DroneAtWall,
     LinearLogit,
     MissesByWindow,
+    ScatteredMisses,
     TwoWayWalk,
     Windows,
 )
@@ -280,23 +281,34 @@ def _towns() -> Sequence[TrustCase]:
     )
 
 
-def _something_is_seen(signals: Mapping[str, FloatArray]) -> BoolArray:
-    return signals[MOST] < WINDOW
+IN_TIME: Mapping[str, Windows | ScatteredMisses] = {
+    "windows from 0 and 100 on": Windows(first=(0, 100)),
+    "windows from 20 and 100 on": Windows(first=(20, 100)),
+    "misses in two places, or one": ScatteredMisses(
+        sets=((10, 11, 12, 100, 101, 102), tuple(range(50, 56))), needed=6
+    ),
+    "five misses of eight, twice": ScatteredMisses(
+        sets=(tuple(range(8)), tuple(range(100, 108))), needed=5
+    ),
+}
+"""Two failure modes far apart in time, of which exploration meets one seldom."""
 
 
-def _windows() -> Sequence[TrustCase]:
-    """Two failure modes far apart in time, of which exploration meets one seldom."""
+def _fewer(needed: int, signals: Mapping[str, FloatArray]) -> BoolArray:
+    return signals[MOST] < needed
+
+
+def _in_time() -> Sequence[TrustCase]:
     config = replace(load_preset("paper"), plan=False)
     cases: list[TrustCase] = []
-    for first in (0, 20):
-        system = Windows(first=(first, 100))
+    for name, system in IN_TIME.items():
         model = MissesByWindow(system=system)
         cases.append(
             TrustCase(
-                name=f"windows from {first} and 100 on",
+                name=name,
                 config=replace(config, spec=system.spec),
                 truth=system.probability(miss=model.within),
-                automaton=always(_something_is_seen, 0, system.states - 1),
+                automaton=always(partial(_fewer, system.needed), 0, system.states - 1),
                 system=system,
                 model=model,
             )
@@ -328,4 +340,4 @@ def _drones() -> Sequence[TrustCase]:
 def trust_cases() -> Sequence[TrustCase]:
     """All cases; those with the authors' model where it is there."""
     here = [case for case in BRAKING if case[1] != "authors" or AUTHORS_MODEL.is_file()]
-    return (*(_braking(*case) for case in here), *_towns(), *_walks(), *_windows(), *_drones())
+    return (*(_braking(*case) for case in here), *_towns(), *_walks(), *_in_time(), *_drones())

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logit
+from scipy.stats import binom
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.types import Signal, StateBatch
@@ -117,6 +118,11 @@ class Windows:
         )
 
     @property
+    def needed(self) -> int:
+        """Misses of a window that it fails by."""
+        return WINDOW
+
+    @property
     def spec(self) -> str:
         """That in each window something is detected."""
         return f"always[0,{self.states - 1}] ({MOST} < {WINDOW})"
@@ -155,16 +161,81 @@ class Windows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MissesByWindow:
-    """A detector model of :class:`Windows`.
+class ScatteredMisses:
+    """It fails where enough of any of several sets of steps are missed, wherever in time they lie.
 
     Attributes:
-        system: Whose windows.
-        within: P(miss) at a step of a window.
+        sets: Steps of each.
+        needed: How many of a set's.
+        states: States in a rollout.
+        name: The simulator's.
+        dt_s: Time step [s].
+    """
+
+    sets: tuple[tuple[int, ...], ...]
+    needed: int
+    states: int = 120
+    name: str = "scattered-misses"
+    dt_s: float = 1.0
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The step, and the most misses of any set so far."""
+        return (
+            Signal(name=CLOCK, key=CLOCK, unit="1", low=0.0, high=float(self.states)),
+            Signal(name=MOST, key=MOST, unit="1", low=0.0, high=float(self.needed)),
+        )
+
+    @property
+    def spec(self) -> str:
+        """That of no set as many are missed as it takes."""
+        return f"always[0,{self.states - 1}] ({MOST} < {self.needed})"
+
+    def initial(self, *, count: int) -> StateBatch:
+        """``count`` rollouts at their first step."""
+        none = np.zeros(count)
+        return StateBatch(
+            step=np.zeros((), dtype=np.int64),
+            signals={CLOCK: none, MOST: none},
+            memory={f"of set {number}": none for number in range(len(self.sets))},
+        )
+
+    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
+        """One miss more of each set that the step is in, where it was missed ``[N]``."""
+        step = int(states.step)
+        misses = {
+            name: known + (~detected if step in steps else 0.0)
+            for (name, known), steps in zip(states.memory.items(), self.sets, strict=True)
+        }
+        most = np.maximum.reduce(list(misses.values()))
+        signals = {CLOCK: states.signals[CLOCK] + 1.0, MOST: most}
+        return StateBatch(step=states.step + 1, signals=signals, memory=misses)
+
+    def is_in_window(self, step: int) -> bool:
+        """Whether a step is in one of the sets."""
+        return any(step in steps for steps in self.sets)
+
+    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """The step, ``[..., 1]``."""
+        return signals[CLOCK][..., None]
+
+    def probability(self, *, miss: float) -> float:
+        """Of a violation, where each step of a set is missed with the probability ``miss``."""
+        of_each = [binom.sf(self.needed - 1, len(steps), miss) for steps in self.sets]
+        return float(-np.expm1(np.sum(np.log1p(-np.array(of_each)))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissesByWindow:
+    """A detector model of :class:`Windows` and of :class:`ScatteredMisses`.
+
+    Attributes:
+        system: Whose windows, or sets.
+        within: P(miss) at a step of one.
         elsewhere: At any other.
     """
 
-    system: Windows
+    system: Windows | ScatteredMisses
     within: float = 0.05
     elsewhere: float = 0.1
 

@@ -201,6 +201,8 @@ class OffsetLogisticProposal:
         violated: Name of the memory that says whether a rollout has violated already.
         defensive: Share of the error model in every outcome's probability; of N rollouts each its
             own, ``[N]``.
+        by_step: By how much it raises a miss's logit at each step besides, ``[T-1]`` or
+            ``[N, T-1]``; ``None``: by nothing.
         latents: What is stored beside it of how latents are moved.
     """
 
@@ -209,6 +211,7 @@ class OffsetLogisticProposal:
     coefficients: FloatArray
     violated: str
     defensive: float | FloatArray
+    by_step: FloatArray | None = None
     latents: Mapping[str, AnyArray] = field(default_factory=dict[str, AnyArray])
 
     def logit(self, states: StateBatch, pem_logit: FloatArray) -> FloatArray:
@@ -224,7 +227,12 @@ class OffsetLogisticProposal:
         under_pem = pem_logit[acts]
         by_row = self.coefficients.ndim > 1
         coefficients = self.coefficients[acts] if by_row else self.coefficients
-        logit = under_pem - shift(self.basis.evaluate(values), coefficients)
+        raised = shift(self.basis.evaluate(values), coefficients)
+        if self.by_step is not None:
+            step = np.broadcast_to(states.step, pem_logit.shape)
+            of_row = (np.arange(len(step)), step) if self.by_step.ndim > 1 else step
+            raised = raised + self.by_step[of_row][acts]
+        logit = under_pem - raised
         share = self.defensive[acts] if isinstance(self.defensive, np.ndarray) else self.defensive
         result[acts] = defended(logit, under_pem, share=share)
         return result
@@ -237,6 +245,7 @@ class OffsetLogisticProposal:
             "spread": self.basis.spread,
             "degree": np.array(self.basis.degree),
             "defensive": np.array(self.defensive),
+            **({} if self.by_step is None else {"by_step": self.by_step}),
             **self.latents,
         }
 

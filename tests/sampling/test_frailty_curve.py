@@ -115,6 +115,7 @@ def test_chains_are_as_likely_as_an_integral_over_the_obstacle_says(memory):
     last = np.where(CHAINS, 1.0, -1.0)
     outcomes = Outcomes(
         rollout=np.repeat(np.arange(len(CHAINS)), CHAINS.shape[1]),
+        step=np.tile(np.arange(CHAINS.shape[1]), len(CHAINS)),
         basis=np.zeros((CHAINS.size, 0)),
         missed=~CHAINS.ravel(),
         last=np.pad(last[:, :-1], ((0, 0), (1, 0))).ravel(),

@@ -232,6 +232,7 @@ def pool_of(log_ratio, component, violated):
             basis=np.zeros((0, 1)),
             missed=np.zeros(0, dtype=np.bool_),
             offset=nothing,
+            step=np.zeros(0, dtype=np.int64),
         ),
         component=np.asarray(component, dtype=np.int64),
         proposals=(),

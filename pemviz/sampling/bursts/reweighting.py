@@ -51,6 +51,7 @@ class Outcomes(Batch):
 
     Attributes:
         rollout: Which rollout, ``[M]``.
+        step: Which of its outcomes, ``[M]``.
         basis: ``[M, B]``.
         missed: ``[M]``.
         last: The outcome before: missed (-1), detected (1), none (0), ``[M]``.
@@ -59,6 +60,7 @@ class Outcomes(Batch):
     """
 
     rollout: IntArray
+    step: IntArray
     basis: FloatArray
     missed: BoolArray
     last: FloatArray
@@ -289,6 +291,7 @@ def described(
     matters = np.broadcast_to(scenario.own_features.reacts(states), counting.shape)
     outcomes = Outcomes(
         rollout=np.nonzero(counting)[0].astype(np.int64),
+        step=np.nonzero(counting)[1].astype(np.int64),
         basis=scenario.known_basis.evaluate(_values(scenario, states, counting)),
         missed=~rollouts.detected[counting],
         last=last[counting],
@@ -365,6 +368,7 @@ def seen_at(scenario: Scenario, sampled: Sampled, place: int, *, u: float = 0.0)
         basis=outcomes.basis,
         missed=outcomes.missed,
         offset=-scenario.model_logit(outcomes, given),
+        step=outcomes.step,
     )
     if scenario.ignores(given):
         decisions = decisions.take(outcomes.matters)

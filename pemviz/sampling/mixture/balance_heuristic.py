@@ -181,6 +181,7 @@ class Decisions(Batch):
         basis: ``[M, B]``; of many decisions not at once.
         missed: ``[M]``.
         offset: The error model's logit of a miss, ``[M]``.
+        step: Which of its rollout's outcomes each is, ``[M]``.
         broken: Which rules are broken there, ``[M, R]``; ``None`` without several rules.
     """
 
@@ -188,6 +189,7 @@ class Decisions(Batch):
     basis: FloatArray | Monomials
     missed: BoolArray
     offset: FloatArray
+    step: IntArray
     broken: BoolArray | None = None
 
 
@@ -200,12 +202,15 @@ class FittedMoves:
         means: How it moves latents, where there are any.
         rule: Which it is to break, and until when it leaves the error model.
         defensive: Share of the error model in every outcome's probability; ``None``: the least.
+        by_step: By how much it raises a miss's logit at each step besides, ``[T-1]``; ``None``: by
+            nothing.
     """
 
     coefficients: FloatArray
     means: LatentMeans | None = None
     rule: Rule = None
     defensive: float | None = None
+    by_step: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -269,6 +274,7 @@ class Pool:
         row: Which of the N rollouts the M are, ascending, ``[M]``; ``None``: all.
         log_stands_for: Log of how many rollouts each stands for where it is learned from, ``[M]``:
             more than itself if it holds and is of a large stage. ``None``: of itself.
+        steps: Outcomes of a rollout, T-1.
     """
 
     decisions: Decisions
@@ -289,6 +295,7 @@ class Pool:
     failing: tuple[FailingWeights, ...] = ()
     row: IntArray | None = None
     log_stands_for: FloatArray | None = None
+    steps: int = 0
 
     @property
     def count(self) -> int:
@@ -481,9 +488,13 @@ def log_ratios(
         }
         until = [still_open(decisions.broken, rules, rule) for rule in under]
         for column, one in enumerate(proposals):
-            if not one.coefficients.any():  # the error model itself
+            if one.by_step is not None:
+                raised = one.by_step[decisions.step]
+            elif one.coefficients.any():
+                raised = shift(decisions.basis, one.coefficients)
+            else:  # the error model itself
                 continue
-            step = by_share[shares[column]](shift(decisions.basis, one.coefficients))
+            step = by_share[shares[column]](raised)
             own = still_open(decisions.broken, rules, one.rule) if one.rule else None
             step = where_open(step, own)
             for each, open_there in zip(found, until, strict=True):

@@ -23,20 +23,21 @@ average of weights, which overlooks and does not invent; finding more does.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import stdtrit
 
-from pemviz.arrays import FloatArray, log_sum_exp
-from pemviz.proposals.offset_logistic import PolynomialBasis
+from pemviz.arrays import BoolArray, FloatArray, log_sum_exp
+from pemviz.proposals.offset_logistic import LARGEST_SHIFT, PolynomialBasis
 from pemviz.sampling.estimates.diagnostics import (
     chains_disagreement,
     hardly_sampled,
 )
 from pemviz.sampling.estimates.importance_weights import log_sum
-from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, log_shares
+from pemviz.sampling.method import VIOLATION_THRESHOLD
+from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_shares
 from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
@@ -56,6 +57,8 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
+MOST_MODES, ROWS_A_MODE = 5, 2
+"""Of which proposals have the misses that they need; of as many rollouts on average at least."""
 LEVEL = 0.995
 """Of the two-sided interval that the chains' estimates are compared by: 99 %."""
 MOST_NATS = 700.0
@@ -88,9 +91,10 @@ def fits_to_unknown(
 ) -> Sequence[Fit]:
     """A proposal for each mode whose share of the estimate the pool cannot tell yet.
 
-    Of those that exploration proposals have met, as rollouts that were moved; of each rule's.
+    Of those that exploration proposals have met, as rollouts that were moved; of each rule's. And
+    for those that are known by the misses that they need, one with these misses.
     """
-    moved, fits = found.scored, list[Fit]()
+    moved, fits, needing = found.scored, list[Fit](), list[Fit]()
     if moved is None:
         return fits
     own, none = pool_under(moved, pool.proposals, terms), np.zeros(pool.count)
@@ -104,7 +108,43 @@ def fits_to_unknown(
             alike = alike.under_rule(rule) if rule else alike
             for one in alike.each_conjunct():
                 fits += _fits_to_modes(one, basis, settings) if one.violated.any() else ()
-    return [replace(fit, optimism=none) for fit in fits]
+            if alike.latents is None:
+                needing += _fits_to_needed(found, unknown, basis, rule)
+    kinds = [alike for alike in (fits, needing) if alike]
+    return [
+        replace(fit, optimism=none, share=1.0 / len(alike) / len(kinds))
+        for alike in kinds
+        for fit in alike
+    ]
+
+
+def _fits_to_needed(
+    found: Rejuvenated, unknown: BoolArray, basis: PolynomialBasis, rule: Rule
+) -> Iterator[Fit]:
+    """A proposal with the misses that a mode needs, for the modes of most that is ``unknown``.
+
+    A few rollouts of a mode tell little of how often each step is missed in it, but that it
+    violates no more without these misses. Of n that need c at a step, it is missed with the
+    probability (c + 1/2) / (n + 1), as Jeffreys' prior has it.
+    """
+    moved, modes = found.moved, found.modes
+    assert moved is not None  # noqa: S101  there are no modes without
+    if ROWS_A_MODE * len(modes) > moved.count:  # each at steps of its own: any others would do
+        return
+    of_unknown = [rows for rows in modes if unknown[rows].any()]
+    for rows in sorted(of_unknown, key=lambda rows: -int(unknown[rows].sum()))[:MOST_MODES]:
+        count = moved.needed_misses[rows].sum(axis=0)
+        logit = np.log((count + 0.5) / (rows.size - count + 0.5))
+        raised = logit + moved.rollouts.pem_logit[rows].mean(axis=0)
+        yield Fit(
+            coefficients=np.zeros(len(basis.exponents)),
+            optimism=np.empty(0),
+            threshold=VIOLATION_THRESHOLD,
+            elites=rows.size,
+            loss=0.0,
+            rule=rule,
+            by_step=np.where(count > 0, raised.clip(0.0, LARGEST_SHIFT), 0.0),
+        )
 
 
 def with_explored(

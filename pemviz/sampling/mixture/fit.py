@@ -4,6 +4,7 @@ Of each rule there are proposals fitted to its violations; where it is a conjunc
 (:func:`pemviz.stl.conjuncts`), of each conjunct, as a rare one's would count for nothing among all.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -21,6 +22,7 @@ from pemviz.proposals.offset_logistic_fit import (
     fit_offset_logistic,
     leave_one_out_loss,
 )
+from pemviz.proposals.step_offsets import fit_step_offsets
 from pemviz.sampling.estimates.importance_weights import smoothed_weights
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
@@ -32,6 +34,7 @@ from pemviz.sampling.mixture.failure_modes import (
     failure_modes_of,
     shares_of_rollouts,
 )
+from pemviz.sampling.subset.rejuvenation import HALF
 
 NEGLIGIBLE_SHARE = 1e-4
 ESS_SHARE = 0.1
@@ -56,6 +59,9 @@ FEW_FEATURES = 3
 EXPLORING_SHARE = 0.25
 """Of the rollouts that are not exploration proposals, for a level above 0, for failure modes whose
 share is not known, and for what is blind to the state."""
+LEAST_GAIN = 0.5
+"""By so much likelier violations that were left out must be for proposals that look at the step
+alone, or are fitted to each known mode's [nats a rollout]."""
 LARGEST_LEVEL = 0.5
 """Of the probability under the error model that elites have between them."""
 WIDE_SHARE = 0.25
@@ -100,6 +106,9 @@ class Fit:
         defensive: As :class:`FittedMoves` has it.
         departure: How far its probabilities of a miss are from the error model's, summed over the
             steps of a rollout that it learned from, on average.
+        by_step: As :class:`FittedMoves` has it.
+        log_likelihood: Of the outcomes that it learned from, each rollout left out of the fit once,
+            by their weights [nats].
     """
 
     coefficients: FloatArray
@@ -112,6 +121,8 @@ class Fit:
     rule: Rule = None
     defensive: float | None = None
     departure: float = 0.0
+    by_step: FloatArray | None = None
+    log_likelihood: float = 0.0
 
     @property
     def is_short(self) -> bool:
@@ -121,7 +132,7 @@ class Fit:
     @property
     def moves(self) -> FittedMoves:
         """How it leaves the error model."""
-        return FittedMoves(self.coefficients, self.means, self.rule, self.defensive)
+        return FittedMoves(self.coefficients, self.means, self.rule, self.defensive, self.by_step)
 
 
 @dataclass(frozen=True)
@@ -149,6 +160,7 @@ def next_proposals(
     *,
     defensive: float,
     unknown: Sequence[Fit],
+    needed: Sequence[BoolArray],
     explores: bool,
     for_final: bool,
 ) -> tuple[Fit, ...]:
@@ -162,7 +174,9 @@ def next_proposals(
         basis: Monomials.
         settings: How.
         defensive: Share of the error model in every outcome's probability.
-        unknown: Proposals for failure modes whose share of the estimate the pool cannot tell.
+        unknown: Proposals for failure modes whose share of the estimate the pool cannot tell; their
+            own shares sum to 1.
+        needed: Misses that rollouts of each known failure mode need, ``[n, T-1]``.
         explores: Whether the stage is one of the first.
         for_final: Whether the final batch is sampled from them.
     """
@@ -172,7 +186,7 @@ def next_proposals(
     main = [
         replace(fit, share=fit.share * one.share / total)
         for one in met
-        for fit in fits_to_failures(one, basis, settings)
+        for fit in fits_to_failures(one, basis, settings, needed=needed)
     ]
     hard = False
     if has_many_features(basis, defensive=defensive):
@@ -190,11 +204,12 @@ def next_proposals(
     if hard:
         unknown = [replace(fit, defensive=WIDEST) for fit in unknown]
         towards = [replace(fit, defensive=WIDEST) for fit in towards]
-    exploring = [fits for fits in (unknown, blind, towards) if fits]
-    rest = 1.0 - EXPLORING_SHARE * len(exploring)
+    others = [fits for fits in (blind, towards) if fits]
+    rest = 1.0 - EXPLORING_SHARE * (len(others) + bool(unknown))
     return (
         *(replace(fit, share=rest * fit.share) for fit in main),
-        *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in exploring for f in fits),
+        *(replace(fit, share=EXPLORING_SHARE * fit.share) for fit in unknown),
+        *(replace(f, share=EXPLORING_SHARE / len(fits)) for fits in others for f in fits),
     )
 
 
@@ -211,13 +226,15 @@ def fits_to_failures(
     basis: PolynomialBasis,
     settings: FitSettings,
     *,
+    needed: Sequence[BoolArray] = (),
     least_scatter: float = LEAST_SCATTER,
     price: float = 1.0,
 ) -> Sequence[Fit]:
     """The proposals nearest to the violating rollouts' distribution under the error model.
 
     One for each failure mode that the rollouts tell apart, the largest share first; how readily
-    they are told apart is what :func:`failure_modes_of` takes.
+    they are told apart is what :func:`failure_modes_of` takes. Or one for each mode that is known
+    by the misses that rollouts of it need, ``needed``.
     """
     elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
     weight, exponent = smoothed(pool, elites, settings)
@@ -232,12 +249,11 @@ def fits_to_failures(
         least_scatter=least_scatter,
         price=price,
     )
+    parts: list[tuple[Fit, FloatArray]] = []
     if modes.share.size == 1:
-        return (first,)
-    fits: list[Fit] = []
-    responsibilities = modes.responsibilities(learned).T
-    shares = shares_of_rollouts(modes.share)
-    for own, start, share in zip(responsibilities, modes.coefficients, shares, strict=True):
+        parts = [(_or_by_step(first, pool, weight), weight)]
+    responsibilities = modes.responsibilities(learned).T if not parts else ()
+    for own, start in zip(responsibilities, modes.coefficients, strict=False):
         # smoothed anew, for a mode may have few rollouts where all together have many
         known = log_weight[own > 0.5]
         if settings.alpha is None and known.size:
@@ -247,8 +263,55 @@ def fits_to_failures(
         part = np.zeros(pool.count)
         part[weight > 0.0] = smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part)
         fit = fitted(pool, basis, elites, part, settings, start=start)
-        fits.append(replace(fit, share=share))
-    return fits
+        parts.append((_or_by_step(fit, pool, part), part))
+    share = modes.share
+    by_needed = _parts_by_misses(pool, weight, needed)
+    if by_needed:
+        apart = [
+            (_or_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
+            for part in by_needed
+        ]
+        gain = _log_likelihood(apart) - _log_likelihood(parts)
+        if gain > LEAST_GAIN * float(weight.sum()):
+            parts, share = apart, np.array([part.sum() for part in by_needed]) / weight.sum()
+    shares = shares_of_rollouts(share)
+    return [replace(fit, share=own) for (fit, _), own in zip(parts, shares, strict=True)]
+
+
+def _log_likelihood(parts: Sequence[tuple[Fit, FloatArray]]) -> float:
+    """Of rollouts that are each sampled from the proposal fitted to its part, by their weights."""
+    total = sum(float(weight.sum()) for _, weight in parts)
+    return sum(
+        fit.log_likelihood + float(weight.sum()) * math.log(float(weight.sum()) / total)
+        for fit, weight in parts
+    )
+
+
+def _parts_by_misses(
+    pool: Pool, weight: FloatArray, needed: Sequence[BoolArray]
+) -> Sequence[FloatArray]:
+    """Weights ``[N]`` of what is in each known mode, and of all else, the largest first.
+
+    Empty where nothing that is learned from is in any.
+    """
+    if not needed or pool.latents is not None:
+        return ()
+    decisions, learned = pool.decisions, np.flatnonzero(weight > 0.0)
+    row = np.searchsorted(learned, decisions.rollout).clip(0, learned.size - 1)
+    missed = np.zeros((learned.size, pool.steps))
+    of_these = decisions.missed & (learned[row] == decisions.rollout)
+    missed[row[of_these], decisions.step[of_these]] = 1.0
+    share = [((missed @ misses.T) / misses.sum(axis=1)).max(axis=1) for misses in needed]
+    nearest = np.argmax(share, axis=0)
+    mode = np.where(np.max(share, axis=0) >= HALF, nearest, len(needed))
+    if mode.min() == len(needed):
+        return ()
+    parts: list[FloatArray] = []
+    for number in np.unique(mode):
+        part = np.zeros(pool.count)
+        part[learned[mode == number]] = weight[learned[mode == number]]
+        parts.append(part)
+    return sorted(parts, key=lambda part: -float(part.sum()))
 
 
 def _with_wide(fit: Fit, *, share: float, defensive: float) -> Sequence[Fit]:
@@ -307,7 +370,7 @@ def fitted(
     blind: bool = False,
 ) -> Fit:
     """The proposal fitted to the pool's rollouts by their weights ``[N]``, ``blind`` to states."""
-    outcomes, group = _outcomes(pool, weight)
+    outcomes, group, _ = _outcomes(pool, weight)
     if start is None:
         known = pool.proposals
         start = known[-1].coefficients if known else np.zeros(len(basis.exponents))
@@ -324,7 +387,7 @@ def fitted(
         likelihood = penalised - fit.loss * float(outcomes.weight.sum())
         # of rollouts each left out of the fit
         tried.append((likelihood - float(weight @ optimism), fit, optimism))
-    _, found, optimism = max(tried, key=lambda one: one[0])
+    log_likelihood, found, optimism = max(tried, key=lambda one: one[0])
     means = None
     if pool.latents is not None:
         of_noise = _noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
@@ -346,11 +409,38 @@ def fitted(
         loss=found.loss,
         rule=pool.rule,
         departure=float(outcomes.weight @ departs) / float(weight.sum()),
+        log_likelihood=log_likelihood,
     )
 
 
-def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArray]:
-    """Those of rollouts whose weight ``[N]`` is not 0, until the rule is broken; of which each."""
+def _or_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Fit:
+    """The proposal, or one that looks at the step alone where that is clearly nearer.
+
+    Where rollouts have latents, what an outcome does depends on them: there it is as it was.
+    """
+    if pool.latents is not None:
+        return fit
+    outcomes, group, step = _outcomes(pool, weight)
+    found = fit_step_offsets(outcomes, step=step, steps=pool.steps, group=group, count=weight.size)
+    if found.log_likelihood <= fit.log_likelihood + LEAST_GAIN * float(weight.sum()):
+        return fit
+    departs = np.abs(found.miss - expit(outcomes.offset))
+    return replace(
+        fit,
+        coefficients=np.zeros_like(fit.coefficients),
+        by_step=found.offsets,
+        optimism=found.optimism,
+        loss=found.loss,
+        departure=float(outcomes.weight @ departs) / float(weight.sum()),
+        log_likelihood=found.log_likelihood,
+    )
+
+
+def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArray, IntArray]:
+    """Those of rollouts whose weight ``[N]`` is not 0, until the rule is broken.
+
+    And of which rollout each is, and which of its outcomes.
+    """
     decisions = pool.decisions
     kept = weight[decisions.rollout] > 0.0
     if pool.open is not None:
@@ -362,12 +452,12 @@ def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArra
         offset=decisions.offset[kept],
         weight=weight[group],
     )
-    return outcomes, group
+    return outcomes, group, decisions.step[kept]
 
 
 def _learned_from(pool: Pool, weight: FloatArray) -> WeightedRollouts:
     """Those of the pool's rollouts whose weight ``[N]`` is not 0."""
-    outcomes, group = _outcomes(pool, weight)
+    outcomes, group, _ = _outcomes(pool, weight)
     number = np.cumsum(weight > 0.0) - 1
     latents = pool.latents
     if latents is not None:

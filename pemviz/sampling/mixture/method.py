@@ -222,6 +222,7 @@ class MixtureSampling:
                 basis=basis,
                 settings=self.settings,
             ),
+            needed=state.rejuvenated.needed_misses,
             explores=self._explores(state.stage),
             for_final=self._is_last(state),
         )

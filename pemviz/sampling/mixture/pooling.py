@@ -162,6 +162,7 @@ def pool_of(
         basis=Monomials(values, basis) if terms.many else basis.evaluate(values),
         missed=~rollouts.detected[acts],
         offset=-rollouts.pem_logit[acts],
+        step=np.nonzero(acts)[1].astype(np.int64),
         broken=None if broken is None else broken[acts],
     )
     by_exploration = _by_exploration(rollouts, acts, broken, terms)
@@ -191,6 +192,7 @@ def pool_of(
         },
         latents=latents,
         start=_starts(rollouts, terms),
+        steps=acts.shape[1],
     )
 
 

@@ -107,6 +107,7 @@ class DividedProposal:
                 fitted,
                 coefficients=fitted.coefficients[rows],
                 defensive=np.asarray(fitted.defensive)[rows],
+                by_step=None if fitted.by_step is None else fitted.by_step[rows],
             )
         return replace(
             self,
@@ -325,6 +326,7 @@ def main_proposal(state: MixtureState, *, steps: int) -> OffsetLogisticProposal 
         coefficients=state.fits[0].coefficients,
         violated=VIOLATED,
         defensive=defence(steps),
+        by_step=state.fits[0].by_step,
         latents={} if means is None else means.arrays(),
     )
 
@@ -359,10 +361,14 @@ def _divided(
         rows = [nothing if fit is None else fit.coefficients for fit in fits]
         own = [None if fit is None else fit.defensive for fit in fits]
         least = defence(steps)
+        offsets = [None if fit is None else fit.by_step for fit in fits]
         fitted = replace(
             fitted,
             coefficients=np.stack(rows),
             defensive=np.array([least if share is None else share for share in own]),
+            by_step=None
+            if all(each is None for each in offsets)
+            else np.stack([np.zeros(steps) if each is None else each for each in offsets]),
         )
     targets = TargetRules.of(state.rules, [fit.rule if fit else None for fit in fits])
     counts = latent_counts(problem.simulator)
