@@ -6,8 +6,10 @@ the model as it is, accepted where the rollout still violates, lead from there t
 itself does in the mode (a rejuvenation, as in resample-move: Gilks, Berzuini 2001). Here they are
 chosen to lead there in few steps. A window of steps gets new random numbers; where the violation
 needs it, its halves are tried instead, longest windows first (as failing input is bisected: Zeller,
-Hildebrandt 2002). Where a start or a single step's noise is needed, its numbers are turned towards
-new ones by half of the angle, and again as long as that is accepted.
+Hildebrandt 2002); last all that is not needed, at once. What is left are the steps that the
+violation needs, and their misses say which failure mode it is in. Where a start or a single step's
+noise is needed, its numbers are turned towards new ones by half of the angle, and again as long as
+that is accepted.
 """
 
 import math
