@@ -47,8 +47,9 @@ def fit_step_offsets(
 ) -> StepOffsets:
     """The offsets that outcomes ask for: at a step only where they win 2 log (T - 1) nats.
 
-    By chance one in T - 1 fits has such a step, and what that flatters counts for nothing. With
-    half as many, estimates were 3 % low.
+    By chance fewer than one in T - 1 fits have such a step, so that what it flatters, more than
+    leaving rollouts out one by one tells, counts for nothing. With half as many nats estimates were
+    3 % low.
 
     Args:
         outcomes: What is learned from.
