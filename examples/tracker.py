@@ -59,7 +59,7 @@ class PersonCamera:
 if __name__ == "__main__":
     for method in ("mixture", "splitting"):  # the second checks the first independently
         spec = "always[0,40] (distance >= 0.0)"
-        config = pemviz.ExperimentConfig(method=method, spec=spec, rollouts=300, seed=1)
+        config = pemviz.ExperimentConfig(method=method, spec=spec, rollouts=300, seed=2)
         experiment = pemviz.build_experiment(config, simulator=CartAndPerson(), pem=PersonCamera())
         worst = pemviz.LeastRobust()
         print(pemviz.summary_text(pemviz.run(experiment, observers=[worst])), worst, sep="\n")

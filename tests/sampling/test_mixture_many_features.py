@@ -79,7 +79,7 @@ def test_auto_learns_from_more_where_proposals_are_hard_to_learn():
     rollouts = []
     for system in (FEW, LATE):
         own = AutoSampling(
-            mixture=method(seed=1),
+            mixture=method(seed=5),
             first=60,
             most_looked_at=60,
             most_plain=60,

@@ -59,9 +59,11 @@ FEW_FEATURES = 3
 EXPLORING_SHARE = 0.25
 """Of the rollouts that are not exploration proposals, for a level above 0, for failure modes whose
 share is not known, and for what is blind to the state."""
-LEAST_GAIN = 0.5
+LEAST_GAIN = 1.0
 """By so much likelier violations that were left out must be for proposals that look at the step
 alone, or are fitted to each known mode's [nats a rollout]."""
+BY_STATE_SHARE = 0.5
+"""Of the rollouts of a mode where a proposal that looks at the step alone is nearer."""
 LARGEST_LEVEL = 0.5
 """Of the probability under the error model that elites have between them."""
 WIDE_SHARE = 0.25
@@ -249,9 +251,9 @@ def fits_to_failures(
         least_scatter=least_scatter,
         price=price,
     )
-    parts: list[tuple[Fit, FloatArray]] = []
+    parts: list[tuple[Sequence[Fit], FloatArray]] = []
     if modes.share.size == 1:
-        parts = [(_or_by_step(first, pool, weight), weight)]
+        parts = [(_and_by_step(first, pool, weight), weight)]
     responsibilities = modes.responsibilities(learned).T if not parts else ()
     for own, start in zip(responsibilities, modes.coefficients, strict=False):
         # smoothed anew, for a mode may have few rollouts where all together have many
@@ -263,27 +265,31 @@ def fits_to_failures(
         part = np.zeros(pool.count)
         part[weight > 0.0] = smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part)
         fit = fitted(pool, basis, elites, part, settings, start=start)
-        parts.append((_or_by_step(fit, pool, part), part))
+        parts.append((_and_by_step(fit, pool, part), part))
     share = modes.share
     by_needed = _parts_by_misses(pool, weight, needed)
     if by_needed:
         apart = [
-            (_or_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
+            (_and_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
             for part in by_needed
         ]
         gain = _log_likelihood(apart) - _log_likelihood(parts)
         if gain > LEAST_GAIN * float(weight.sum()):
             parts, share = apart, np.array([part.sum() for part in by_needed]) / weight.sum()
     shares = shares_of_rollouts(share)
-    return [replace(fit, share=own) for (fit, _), own in zip(parts, shares, strict=True)]
+    return [
+        replace(fit, share=own * fit.share)
+        for (fits, _), own in zip(parts, shares, strict=True)
+        for fit in fits
+    ]
 
 
-def _log_likelihood(parts: Sequence[tuple[Fit, FloatArray]]) -> float:
-    """Of rollouts that are each sampled from the proposal fitted to its part, by their weights."""
+def _log_likelihood(parts: Sequence[tuple[Sequence[Fit], FloatArray]]) -> float:
+    """Of rollouts that are each sampled from the proposal nearest to its part, by their weights."""
     total = sum(float(weight.sum()) for _, weight in parts)
     return sum(
-        fit.log_likelihood + float(weight.sum()) * math.log(float(weight.sum()) / total)
-        for fit, weight in parts
+        fits[0].log_likelihood + float(weight.sum()) * math.log(float(weight.sum()) / total)
+        for fits, weight in parts
     )
 
 
@@ -413,19 +419,21 @@ def fitted(
     )
 
 
-def _or_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Fit:
-    """The proposal, or one that looks at the step alone where that is clearly nearer.
+def _and_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Sequence[Fit]:
+    """The proposal; before it one that looks at the step alone, where that is clearly nearer.
 
-    Where rollouts have latents, what an outcome does depends on them: there it is as it was.
+    A share of the rollouts stays with the proposal: what violates otherwise than most would have
+    weights without bound if the step decided alone. Where rollouts have latents, what an outcome
+    does depends on them: there it is as it was.
     """
     if pool.latents is not None:
-        return fit
+        return (fit,)
     outcomes, group, step = _outcomes(pool, weight)
     found = fit_step_offsets(outcomes, step=step, steps=pool.steps, group=group, count=weight.size)
     if found.log_likelihood <= fit.log_likelihood + LEAST_GAIN * float(weight.sum()):
-        return fit
+        return (fit,)
     departs = np.abs(found.miss - expit(outcomes.offset))
-    return replace(
+    by_step = replace(
         fit,
         coefficients=np.zeros_like(fit.coefficients),
         by_step=found.offsets,
@@ -433,7 +441,9 @@ def _or_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Fit:
         loss=found.loss,
         departure=float(outcomes.weight @ departs) / float(weight.sum()),
         log_likelihood=found.log_likelihood,
+        share=1.0 - BY_STATE_SHARE,
     )
+    return by_step, replace(fit, share=BY_STATE_SHARE)
 
 
 def _outcomes(pool: Pool, weight: FloatArray) -> tuple[WeightedOutcomes, IntArray, IntArray]:
