@@ -256,7 +256,7 @@ def test_what_a_run_always_writes_may_not_be_absent(sample):
     ("path", "value", "words"),
     [
         ("status", "going", "status = 'going': must be one of done, stopped, failed"),
-        ("seed", 6, "seed = 6: must be that of config, 15"),
+        ("seed", 6, "seed = 6: must be that of config, 10"),
         (
             "config.method",
             "best",
