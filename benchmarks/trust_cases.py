@@ -10,10 +10,10 @@ from benchmarks.trust_systems import (
     MOST,
     DroneAtWall,
     LinearLogit,
-    MissesByWindow,
+    MissesInSets,
     ScatteredMisses,
     TwoWayWalk,
-    Windows,
+    windows,
 )
 from benchmarks.trust_truth import (
     Automaton,
@@ -281,9 +281,9 @@ def _towns() -> Sequence[TrustCase]:
     )
 
 
-IN_TIME: Mapping[str, Windows | ScatteredMisses] = {
-    "windows from 0 and 100 on": Windows(first=(0, 100)),
-    "windows from 20 and 100 on": Windows(first=(20, 100)),
+IN_TIME: Mapping[str, ScatteredMisses] = {
+    "windows from 0 and 100 on": windows(0, 100),
+    "windows from 20 and 100 on": windows(20, 100),
     "misses in two places, or one": ScatteredMisses(
         sets=((10, 11, 12, 100, 101, 102), tuple(range(50, 56))), needed=6
     ),
@@ -302,7 +302,7 @@ def _in_time() -> Sequence[TrustCase]:
     config = replace(load_preset("paper"), plan=False)
     cases: list[TrustCase] = []
     for name, system in IN_TIME.items():
-        model = MissesByWindow(system=system)
+        model = MissesInSets(system=system)
         cases.append(
             TrustCase(
                 name=name,

@@ -11,7 +11,7 @@ from pemviz.arrays import BoolArray, FloatArray
 from pemviz.types import Signal, StateBatch
 
 GAP, UNSEEN = "gap", "unseen"
-CLOCK, MISSED, MOST = "clock", "missed", "most"
+CLOCK, MOST = "clock", "most"
 WINDOW = 6
 """Steps of each window of time."""
 
@@ -90,79 +90,11 @@ class LinearLogit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Windows:
-    """It fails where all steps of any of several windows of time are missed.
-
-    Between them every step is alike: nothing leads to a window, and a chain of errors that misses
-    elsewhere too is improbable for nothing.
-
-    Attributes:
-        first: Step at which each window begins.
-        states: States in a rollout.
-        name: The simulator's.
-        dt_s: Time step [s].
-    """
-
-    first: tuple[int, ...] = (0, 100)
-    states: int = 120
-    name: str = "windows"
-    dt_s: float = 1.0
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The step, misses in the window at hand so far, and the most so far."""
-        return (
-            Signal(name=CLOCK, key=CLOCK, unit="1", low=0.0, high=float(self.states)),
-            Signal(name=MISSED, key=MISSED, unit="1", low=0.0, high=float(WINDOW)),
-            Signal(name=MOST, key=MOST, unit="1", low=0.0, high=float(WINDOW)),
-        )
-
-    @property
-    def needed(self) -> int:
-        """Misses of a window that it fails by."""
-        return WINDOW
-
-    @property
-    def spec(self) -> str:
-        """That in each window something is detected."""
-        return f"always[0,{self.states - 1}] ({MOST} < {WINDOW})"
-
-    def initial(self, *, count: int) -> StateBatch:
-        """``count`` rollouts at their first step."""
-        none = np.zeros(count)
-        return StateBatch(
-            step=np.zeros((), dtype=np.int64), signals={CLOCK: none, MISSED: none, MOST: none}
-        )
-
-    def step(self, states: StateBatch, detected: BoolArray) -> StateBatch:
-        """One miss more in a window where it was missed ``[N]``."""
-        step, signals = int(states.step), states.signals
-        missed = np.zeros(detected.size)
-        if self.is_in_window(step):
-            missed = np.where(step in self.first, 0.0, signals[MISSED]) + ~detected
-        after = {
-            CLOCK: signals[CLOCK] + 1.0,
-            MISSED: missed,
-            MOST: np.maximum(signals[MOST], missed),
-        }
-        return StateBatch(step=states.step + 1, signals=after)
-
-    def is_in_window(self, step: int) -> bool:
-        """Whether a step is in one of the windows."""
-        return any(first <= step < first + WINDOW for first in self.first)
-
-    def salient(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """The step, ``[..., 1]``."""
-        return signals[CLOCK][..., None]
-
-    def probability(self, *, miss: float) -> float:
-        """Of a violation, where each step of a window is missed with the probability ``miss``."""
-        return float(-np.expm1(len(self.first) * np.log1p(-(miss**WINDOW))))
-
-
-@dataclass(frozen=True, kw_only=True)
 class ScatteredMisses:
     """It fails where enough of any of several sets of steps are missed, wherever in time they lie.
+
+    Between them every step is alike: nothing leads to a set, and a chain of errors that misses
+    elsewhere too is improbable for nothing.
 
     Attributes:
         sets: Steps of each.
@@ -211,7 +143,7 @@ class ScatteredMisses:
         signals = {CLOCK: states.signals[CLOCK] + 1.0, MOST: most}
         return StateBatch(step=states.step + 1, signals=signals, memory=misses)
 
-    def is_in_window(self, step: int) -> bool:
+    def is_in_a_set(self, step: int) -> bool:
         """Whether a step is in one of the sets."""
         return any(step in steps for steps in self.sets)
 
@@ -225,24 +157,30 @@ class ScatteredMisses:
         return float(-np.expm1(np.sum(np.log1p(-np.array(of_each)))))
 
 
+def windows(*first: int) -> ScatteredMisses:
+    """Windows of time that begin at these steps; all steps of any are missed where it fails."""
+    sets = tuple(tuple(range(step, step + WINDOW)) for step in first)
+    return ScatteredMisses(sets=sets, needed=WINDOW)
+
+
 @dataclass(frozen=True, kw_only=True)
-class MissesByWindow:
-    """A detector model of :class:`Windows` and of :class:`ScatteredMisses`.
+class MissesInSets:
+    """A detector model of :class:`ScatteredMisses`.
 
     Attributes:
-        system: Whose windows, or sets.
+        system: Whose sets.
         within: P(miss) at a step of one.
         elsewhere: At any other.
     """
 
-    system: Windows | ScatteredMisses
+    system: ScatteredMisses
     within: float = 0.05
     elsewhere: float = 0.1
 
     def logit(self, salient: FloatArray) -> FloatArray:
         """Logit of 'detected' ``[...]`` at steps ``[..., 1]``."""
         steps = np.arange(self.system.states)
-        inside = np.array([self.system.is_in_window(step) for step in steps.tolist()])
+        inside = np.array([self.system.is_in_a_set(step) for step in steps.tolist()])
         miss = np.where(inside, self.within, self.elsewhere)
         return logit(1.0 - miss)[salient[..., 0].astype(np.int64)]
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from scipy import stats
 
-from benchmarks.trust_systems import MissesByWindow, Windows
+from benchmarks.trust_systems import MissesInSets, windows
 from pemviz.cli.parsing import parse_arguments
 from pemviz.config import ExperimentConfig
 from pemviz.errors import ConfigError
@@ -106,9 +106,9 @@ def test_what_only_the_last_stage_shows_is_learned_from_and_resumed_to_the_last_
     """
     monkeypatch.setattr(fit, "LEAST_GAIN", math.inf)
     monkeypatch.setattr(explored, "MOST_MODES", 0)
-    system = Windows(first=(0, 100))
-    config = ExperimentConfig(method="auto", spec=system.spec, seed=13, max_rollouts=9_000)
-    whole = build_experiment(config, simulator=system, pem=MissesByWindow(system=system))
+    system = windows(0, 100)
+    config = ExperimentConfig(method="auto", spec=system.spec, seed=17, max_rollouts=9_000)
+    whole = build_experiment(config, simulator=system, pem=MissesInSets(system=system))
     state, results = stepped_through(whole.method, whole.problem)
     sizes = {stage.stage: stage.scored.rollouts.count for stage in results if stage.kind == "learn"}
     late = max(sizes, key=lambda stage: sizes[stage])

@@ -62,13 +62,12 @@ def test_intervals_are_wider_where_proposals_are_hard_to_learn():
 
 
 def test_unwarned_intervals_hold_the_truth():
-    """20 runs of 600 rollouts each.
+    """20 runs of 300 rollouts each.
 
     Were 93 % of unwarned intervals to hold the truth, fewer than all but five would in 2e-3.
     """
     truth, problem = probability(LATE, MISS), problem_of(LATE, MISS)
-    own = method(rollouts=120, final_rollouts=120)
-    found = [carried_out(own, problem, repetition=number)[0] for number in range(20)]
+    found = [carried_out(method(), problem, repetition=number)[0] for number in range(20)]
     unwarned = [each for each in found if not each.warnings]
     assert len(unwarned) >= 15
     assert sum(each.ci_low <= truth <= each.ci_high for each in unwarned) >= len(unwarned) - 5

@@ -488,12 +488,11 @@ def log_ratios(
         }
         until = [still_open(decisions.broken, rules, rule) for rule in under]
         for column, one in enumerate(proposals):
-            if one.by_step is not None:
-                raised = one.by_step[decisions.step]
-            elif one.coefficients.any():
-                raised = shift(decisions.basis, one.coefficients)
-            else:  # the error model itself
+            if one.by_step is None and not one.coefficients.any():  # the error model itself
                 continue
+            raised = shift(decisions.basis, one.coefficients)
+            if one.by_step is not None:
+                raised += one.by_step[decisions.step]
             step = by_share[shares[column]](raised)
             own = still_open(decisions.broken, rules, one.rule) if one.rule else None
             step = where_open(step, own)

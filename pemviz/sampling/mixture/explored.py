@@ -27,7 +27,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import logit, stdtrit
 
 from pemviz.arrays import BoolArray, FloatArray, log_sum_exp
 from pemviz.proposals.offset_logistic import LARGEST_SHIFT, PolynomialBasis
@@ -57,8 +57,8 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
-MOST_MODES, ROWS_A_MODE = 5, 2
-"""Of which proposals have the misses that they need; of as many rollouts on average at least."""
+MOST_MODES, MOST_UNSEEN = 5, 0.5
+"""Of which proposals have the misses that they need; probability of one that none has needed."""
 LEVEL = 0.995
 """Of the two-sided interval that the chains' estimates are compared by: 99 %."""
 MOST_NATS = 700.0
@@ -125,17 +125,19 @@ def _fits_to_needed(
 
     A few rollouts of a mode tell little of how often each step is missed in it, but that it
     violates no more without these misses. Of n that need c at a step, it is missed with the
-    probability (c + 1/2) / (n + 1), as Jeffreys' prior has it.
+    probability (c + 1/2) / (n + 1), as Jeffreys' prior has it. Others that the mode may need are
+    steps that none of them needs: as many in a rollout as there are steps that one of them needs,
+    over n + 1 (Good 1953), near in time.
     """
-    moved, modes = found.moved, found.modes
+    moved = found.moved
     assert moved is not None  # noqa: S101  there are no modes without
-    if ROWS_A_MODE * len(modes) > moved.count:  # each at steps of its own: any others would do
-        return
-    of_unknown = [rows for rows in modes if unknown[rows].any()]
+    of_unknown = [rows for rows in found.modes if unknown[rows].any()]
     for rows in sorted(of_unknown, key=lambda rows: -int(unknown[rows].sum()))[:MOST_MODES]:
         count = moved.needed_misses[rows].sum(axis=0)
-        logit = np.log((count + 0.5) / (rows.size - count + 0.5))
-        raised = logit + moved.rollouts.pem_logit[rows].mean(axis=0)
+        known, once = count > 0, int((count == 1).sum())
+        unseen = (once * _nearness(known)).clip(max=MOST_UNSEEN * (rows.size + 1.0))
+        miss = np.where(known, count + 0.5, unseen) / (rows.size + 1.0)
+        raised = logit(miss) + moved.rollouts.pem_logit[rows].mean(axis=0)
         yield Fit(
             coefficients=np.zeros(len(basis.exponents)),
             optimism=np.empty(0),
@@ -143,8 +145,16 @@ def _fits_to_needed(
             elites=rows.size,
             loss=0.0,
             rule=rule,
-            by_step=np.where(count > 0, raised.clip(0.0, LARGEST_SHIFT), 0.0),
+            by_step=raised.clip(0.0, LARGEST_SHIFT),
         )
+
+
+def _nearness(needed: BoolArray) -> FloatArray:
+    """How near each other step is to one that is ``needed``, as shares of all ``[T-1]``."""
+    steps = np.arange(needed.size)
+    far = np.abs(steps[:, None] - steps[needed]).min(axis=1).astype(np.float64)
+    near = np.where(needed, 0.0, 1.0 / np.maximum(far, 1.0) ** 2)
+    return near / max(float(near.sum()), float(np.finfo(float).tiny))
 
 
 def with_explored(

@@ -5,7 +5,7 @@ Of each rule there are proposals fitted to its violations; where it is a conjunc
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -241,7 +241,7 @@ def fits_to_failures(
     elites = failing_elites(pool.robustness, pool.violated, least=settings.elites)
     weight, exponent = smoothed(pool, elites, settings)
     first = fitted(pool, basis, elites, weight, settings)
-    learned, log_weight = _learned_from(pool, weight), pool.log_weight[weight > 0.0]
+    learned = _learned_from(pool, weight)
     modes = failure_modes_of(
         learned,
         first.coefficients,
@@ -251,37 +251,47 @@ def fits_to_failures(
         least_scatter=least_scatter,
         price=price,
     )
-    parts: list[tuple[Sequence[Fit], FloatArray]] = []
-    if modes.share.size == 1:
-        parts = [(_and_by_step(first, pool, weight), weight)]
-    responsibilities = modes.responsibilities(learned).T if not parts else ()
-    for own, start in zip(responsibilities, modes.coefficients, strict=False):
-        # smoothed anew, for a mode may have few rollouts where all together have many
-        known = log_weight[own > 0.5]
+    share, parts = modes.share, [(_and_by_step(first, pool, weight), weight)]
+    if share.size > 1:
+        of_each = _smoothed_anew(pool, weight, exponent, modes.responsibilities(learned), settings)
+        parts = [
+            (
+                _and_by_step(fitted(pool, basis, elites, part, settings, start=start), pool, part),
+                part,
+            )
+            for part, start in zip(of_each, modes.coefficients, strict=True)
+        ]
+    apart = [
+        (_and_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
+        for part in _parts_by_misses(pool, weight, needed)
+    ]
+    total = float(weight.sum())
+    if apart and _log_likelihood(apart) > _log_likelihood(parts) + LEAST_GAIN * total:
+        share, parts = np.array([part.sum() for _, part in apart]) / total, apart
+    return [
+        replace(fit, share=own * fit.share)
+        for (fits, _), own in zip(parts, shares_of_rollouts(share), strict=True)
+        for fit in fits
+    ]
+
+
+def _smoothed_anew(
+    pool: Pool, weight: FloatArray, exponent: float, own: FloatArray, settings: FitSettings
+) -> Iterator[FloatArray]:
+    """Weights ``[N]`` of each mode's, for one may have few where all together have many.
+
+    ``own`` is how likely each rollout that is learned from is to be of each mode, ``[E, C]``.
+    """
+    log_weight = pool.log_weight[weight > 0.0]
+    for of_mode in own.T:
+        known = log_weight[of_mode > 0.5]
         if settings.alpha is None and known.size:
             least = _least_ess(known.size, _enough(pool, settings))
             exponent = min(exponent, smoothing_exponent(known, least_ess=least))
-        log_part = exponent * log_weight + np.log(np.maximum(own, np.finfo(float).tiny))
+        log_part = exponent * log_weight + np.log(np.maximum(of_mode, np.finfo(float).tiny))
         part = np.zeros(pool.count)
         part[weight > 0.0] = smoothed_weights(log_part, alpha=1.0) * effective_sample_size(log_part)
-        fit = fitted(pool, basis, elites, part, settings, start=start)
-        parts.append((_and_by_step(fit, pool, part), part))
-    share = modes.share
-    by_needed = _parts_by_misses(pool, weight, needed)
-    if by_needed:
-        apart = [
-            (_and_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
-            for part in by_needed
-        ]
-        gain = _log_likelihood(apart) - _log_likelihood(parts)
-        if gain > LEAST_GAIN * float(weight.sum()):
-            parts, share = apart, np.array([part.sum() for part in by_needed]) / weight.sum()
-    shares = shares_of_rollouts(share)
-    return [
-        replace(fit, share=own * fit.share)
-        for (fits, _), own in zip(parts, shares, strict=True)
-        for fit in fits
-    ]
+        yield part
 
 
 def _log_likelihood(parts: Sequence[tuple[Sequence[Fit], FloatArray]]) -> float:

@@ -40,6 +40,8 @@ SHARE = 0.2
 """Of the rollouts that are planned, so many more at most are simulated to move some."""
 MOST, ROUNDS = 5, 4
 """Moved side by side; so often in the first stage that meets some, once in each later one."""
+MOST_ALONE, MOST_ALONE_OF_ALL = 0.3, 0.1
+"""Of what was moved to the end, or of all that was moved, that share no mode with any other."""
 ENOUGH_OF_A_MODE = 4
 """To tell how they differ among themselves."""
 PLACES = 2
@@ -75,8 +77,17 @@ class Rejuvenated:
 
     @property
     def modes(self) -> list[IntArray]:
-        """Rows of the failure modes that are known by the misses that they need."""
-        return [] if self.moved is None else modes_of(self.moved)
+        """Rows of the failure modes that are known by the misses that they need.
+
+        None if too many are alone in theirs: then misses at other steps would do as well.
+        """
+        if self.moved is None:
+            return []
+        found = modes_of(self.moved)
+        alone = sum(rows.size == 1 for rows in found)
+        done = sum(rows.size for rows in found)
+        most = max(MOST_ALONE * done, MOST_ALONE_OF_ALL * self.moved.count)
+        return found if alone <= most else []
 
     @property
     def needed_misses(self) -> Sequence[BoolArray]:
@@ -197,8 +208,8 @@ def _to_move(
     Returns:
         It, which of its steps are left if it has been moved before, and how many it took.
     """
-    if known is None or most < 1:
-        return met.take(slice(met.count if most > 0 else 0)), None, 0
+    if known is None:
+        return met, None, 0
     unknown, took = without_known(problem, met.take(slice(most)), known=known, generator=generator)
     if not took:
         unknown = unknown.take(slice(max(met.count - done, 0)))
@@ -210,6 +221,6 @@ def _to_move(
     modes = [rows for rows in modes_of(known) if rows.size >= ENOUGH_OF_A_MODE]
     enough = known.take(np.concatenate(modes) if modes else slice(0))
     scarce, more = without_known(
-        problem, met.take(slice(max(most - took, 0))), known=enough, generator=generator
+        problem, met.take(slice(most - took)), known=enough, generator=generator
     )
     return scarce, None, took + more
