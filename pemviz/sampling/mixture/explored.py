@@ -29,16 +29,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logit, stdtrit
 
-from pemviz.arrays import BoolArray, FloatArray, log_sum_exp
+from pemviz.arrays import BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.offset_logistic import LARGEST_SHIFT, PolynomialBasis
 from pemviz.sampling.estimates.diagnostics import (
     chains_disagreement,
     hardly_sampled,
 )
 from pemviz.sampling.estimates.importance_weights import log_sum
+from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_shares
-from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures
+from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures, nearest_modes
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
@@ -57,6 +58,8 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
+LARGEST_SCARCE = 0.5
+"""Share of a mode whose rollouts may be too few beside others'."""
 MOST_MODES, MOST_UNSEEN = 5, 0.5
 """Of which proposals have the misses that they need; probability of one that none has needed."""
 LEVEL = 0.995
@@ -102,6 +105,8 @@ def fits_to_unknown(
         theirs, all_of_it = (each.under_rule(rule) if rule else each for each in (own, pool))
         log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
         unknown = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
+        for rows in _hardly_known(found, all_of_it, log_total):
+            unknown[rows] = True
         unknown &= theirs.violated
         if unknown.any():
             alike = _all_alike(moved.take(unknown), terms)
@@ -116,6 +121,24 @@ def fits_to_unknown(
         for alike in kinds
         for fit in alike
     ]
+
+
+def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[IntArray]:
+    """Rows of the modes that the pool's own rollouts in them tell little of.
+
+    What was moved is what proposals are fitted to, and may be sampled more often than all else in
+    its mode.
+    """
+    violated = np.flatnonzero(pool.violated)
+    mode = nearest_modes(pool, violated, found.needed_misses)
+    for number, rows in enumerate(found.modes):
+        log_weight = pool.log_weight[violated[mode == number]]
+        if not log_weight.size:
+            continue
+        log_share = log_sum(log_weight) - log_total
+        enough = ENOUGH * math.exp(log_share)
+        if log_share < math.log(LARGEST_SCARCE) and effective_sample_size(log_weight) < enough:
+            yield rows
 
 
 def _fits_to_needed(

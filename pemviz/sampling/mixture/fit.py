@@ -303,6 +303,22 @@ def _log_likelihood(parts: Sequence[tuple[Sequence[Fit], FloatArray]]) -> float:
     )
 
 
+def nearest_modes(pool: Pool, rows: IntArray, needed: Sequence[BoolArray]) -> IntArray:
+    """The known mode that each of these rollouts has most misses of, ``[n]``.
+
+    ``len(needed)``: less than half of what any rollout of any needs; or rollouts have latents.
+    """
+    if not needed or pool.latents is not None:
+        return np.full(rows.size, len(needed), dtype=np.int64)
+    decisions = pool.decisions
+    row = np.searchsorted(rows, decisions.rollout).clip(0, rows.size - 1)
+    missed = np.zeros((rows.size, pool.steps))
+    of_these = decisions.missed & (rows[row] == decisions.rollout)
+    missed[row[of_these], decisions.step[of_these]] = 1.0
+    share = [((missed @ misses.T) / misses.sum(axis=1)).max(axis=1) for misses in needed]
+    return np.where(np.max(share, axis=0) >= HALF, np.argmax(share, axis=0), len(needed))
+
+
 def _parts_by_misses(
     pool: Pool, weight: FloatArray, needed: Sequence[BoolArray]
 ) -> Sequence[FloatArray]:
@@ -310,16 +326,8 @@ def _parts_by_misses(
 
     Empty where nothing that is learned from is in any.
     """
-    if not needed or pool.latents is not None:
-        return ()
-    decisions, learned = pool.decisions, np.flatnonzero(weight > 0.0)
-    row = np.searchsorted(learned, decisions.rollout).clip(0, learned.size - 1)
-    missed = np.zeros((learned.size, pool.steps))
-    of_these = decisions.missed & (learned[row] == decisions.rollout)
-    missed[row[of_these], decisions.step[of_these]] = 1.0
-    share = [((missed @ misses.T) / misses.sum(axis=1)).max(axis=1) for misses in needed]
-    nearest = np.argmax(share, axis=0)
-    mode = np.where(np.max(share, axis=0) >= HALF, nearest, len(needed))
+    learned = np.flatnonzero(weight > 0.0)
+    mode = nearest_modes(pool, learned, needed)
     if mode.min() == len(needed):
         return ()
     parts: list[FloatArray] = []
