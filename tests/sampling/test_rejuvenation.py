@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from benchmarks.trust_cases import trust_cases
 from benchmarks.trust_systems import WINDOW, MissesInSets, ScatteredMisses, windows
@@ -12,10 +13,10 @@ from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.mixture import stages
-from pemviz.sampling.mixture.explored import log_pool_weight, pool_under
+from pemviz.sampling.mixture.explored import fits_to_unknown, log_pool_weight, pool_under
 from pemviz.sampling.mixture.method import MixtureSampling
-from pemviz.sampling.mixture.rejuvenated import SHARE, SIMULATED
-from pemviz.sampling.problem import FinishedStage, Problem, judged
+from pemviz.sampling.mixture.rejuvenated import SHARE, SIMULATED, Rejuvenated
+from pemviz.sampling.problem import FinishedStage, Problem, judged, score
 from pemviz.sampling.subset.moves import RandomNumbers
 from pemviz.sampling.subset.rejuvenation import (
     Moved,
@@ -286,6 +287,63 @@ def test_a_failure_mode_that_was_met_is_learned_until_its_share_is_known():
     assert late_share(found[1]) > 0.02  # a seventh of a quarter, where exploration has a tenth
     estimate = method.estimate(states[-1])
     assert estimate.ci_low < FAR.probability(miss=0.05) < estimate.ci_high
+
+
+def by_step_of_unknown(method, state, **changed):
+    """Offsets of the proposals with the misses that modes need, whose shares are not known."""
+    known = {"found": state.rejuvenated, "pool": state.pool, **changed}
+    terms = method._terms(state, state.basis)
+    fits = fits_to_unknown(**known, terms=terms, basis=state.basis, settings=method.settings)
+    return [fit.by_step for fit in fits if fit.by_step is not None]
+
+
+def test_steps_that_a_mode_was_not_seen_to_need_are_missed_as_often_as_new_ones_are_seen():
+    """Two rollouts need four steps both and one each alone: of 2 / (2 + 1) misses none is known.
+
+    Which are spread as one over the square of the distance in time.
+    """
+    experiment = experiment_of(FAR, method="mixture")
+    method, problem = experiment.method, experiment.problem
+    state, _ = next(stages_of(experiment))
+    steps = np.array([[50, 51, 52, 53, 54], [50, 51, 52, 53, 57]])
+    needed = np.zeros((2, FAR.states - 1), dtype=np.bool_)
+    np.put_along_axis(needed, steps, values=True, axis=1)
+    numbers = RandomNumbers(np.where(needed, -9.0, 9.0), np.empty((2, 0)), np.empty((2, 119, 0)))
+    rollouts, _ = simulated_from(problem, numbers)
+    scored = replace(score(problem, rollouts), violated=np.ones(2, dtype=np.bool_))
+    moved = Moved(numbers, rollouts, needed, np.ones(2, dtype=np.bool_))
+    (raised,) = by_step_of_unknown(method, state, found=Rejuvenated(moved, scored, 0))
+    miss = expit(raised - rollouts.pem_logit[0])
+
+    np.testing.assert_allclose(miss[50:54], 2.5 / 3.0, rtol=1e-9)
+    np.testing.assert_allclose(miss[[54, 57]], 0.5, rtol=1e-9)
+    far = np.array([min(abs(step - each) for each in steps.ravel()) for step in range(119)])
+    near = np.divide(1.0, far**2, out=np.zeros(119), where=far > 0)
+    unseen = 2.0 / 3.0 * near / near.sum()
+    above = unseen > 0.1  # what the model has elsewhere
+    assert above.sum() == 4
+    np.testing.assert_allclose(miss[above], unseen[above], rtol=1e-9)
+    others = ~above & (far > 0)
+    np.testing.assert_array_equal(raised[others], 0.0)
+
+
+def test_a_mode_whose_own_rollouts_say_little_keeps_its_proposals():
+    """One of the late window's rollouts weighs as thirty, all others a thousandth."""
+    experiment = experiment_of(FAR, method="mixture", rollouts=200, seed=2)
+    *_, (state, _) = stages_of(experiment)
+    method, pool = experiment.method, state.pool
+    assert not by_step_of_unknown(method, state)
+
+    missed, decisions = np.zeros((pool.count, pool.steps), dtype=np.bool_), pool.decisions
+    missed[decisions.rollout[decisions.missed], decisions.step[decisions.missed]] = True
+    late = np.flatnonzero(missed[:, LATE].all(axis=1) & ~missed[:, :WINDOW].all(axis=1))
+    late = late[np.argsort(pool.log_weight[late])]
+    log_ratio = pool.log_ratio.copy()
+    log_ratio[late[:-1]] += np.log(1000.0)
+    log_ratio[late[-1]] -= np.log(30.0)
+    rare = replace(pool, log_ratio=log_ratio)
+    (raised,) = by_step_of_unknown(method, state, pool=rare)
+    assert (raised[LATE] > 2.0).all()
 
 
 def test_rollouts_are_weighed_by_the_offsets_that_they_are_sampled_with():
