@@ -39,7 +39,14 @@ from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
 from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_shares
-from pemviz.sampling.mixture.fit import Fit, FitSettings, fits_to_failures, nearest_modes
+from pemviz.sampling.mixture.fit import (
+    Elites,
+    Fit,
+    FitSettings,
+    fits_to_failures,
+    fitted,
+    nearest_modes,
+)
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
@@ -113,8 +120,8 @@ def fits_to_unknown(
             alike = alike.under_rule(rule) if rule else alike
             for one in alike.each_conjunct():
                 fits += _fits_to_modes(one, basis, settings) if one.violated.any() else ()
-            if alike.latents is None:
-                needing += _fits_to_needed(found, unknown, basis, rule)
+            if not alike.noisy:
+                needing += _fits_to_needed(found, unknown, rule, terms, basis, settings)
     kinds = [alike for alike in (fits, needing) if alike]
     return [
         replace(fit, optimism=none, share=1.0 / len(alike) / len(kinds))
@@ -141,8 +148,13 @@ def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[
             yield rows
 
 
-def _fits_to_needed(
-    found: Rejuvenated, unknown: BoolArray, basis: PolynomialBasis, rule: Rule
+def _fits_to_needed(  # noqa: PLR0917  as fits_to_unknown takes them
+    found: Rejuvenated,
+    unknown: BoolArray,
+    rule: Rule,
+    terms: Terms,
+    basis: PolynomialBasis,
+    settings: FitSettings,
 ) -> Iterator[Fit]:
     """A proposal with the misses that a mode needs, for the modes of most that is ``unknown``.
 
@@ -152,8 +164,9 @@ def _fits_to_needed(
     steps that none of them needs: as many in a rollout as there are steps that one of them needs,
     over n + 1 (Good 1953), near in time.
     """
-    moved = found.moved
+    moved, scored = found.moved, found.scored
     assert moved is not None  # noqa: S101  there are no modes without
+    assert scored is not None  # noqa: S101  what was moved has been
     of_unknown = [rows for rows in found.modes if unknown[rows].any()]
     for rows in sorted(of_unknown, key=lambda rows: -int(unknown[rows].sum()))[:MOST_MODES]:
         count = moved.needed_misses[rows].sum(axis=0)
@@ -161,12 +174,12 @@ def _fits_to_needed(
         unseen = (once * _nearness(known)).clip(max=MOST_UNSEEN * (rows.size + 1.0))
         miss = np.where(known, count + 0.5, unseen) / (rows.size + 1.0)
         raised = logit(miss) + moved.rollouts.pem_logit[rows].mean(axis=0)
-        yield Fit(
-            coefficients=np.zeros(len(basis.exponents)),
-            optimism=np.empty(0),
-            threshold=VIOLATION_THRESHOLD,
-            elites=rows.size,
-            loss=0.0,
+        theirs, all_of_them = _all_alike(scored.take(rows), terms), np.ones(rows.size)
+        elites = Elites(VIOLATION_THRESHOLD, all_of_them > 0.0)
+        by_state = fitted(theirs, basis, elites, all_of_them, settings)  # for what starts it needs
+        yield replace(
+            by_state,
+            coefficients=np.zeros_like(by_state.coefficients),
             rule=rule,
             by_step=raised.clip(0.0, LARGEST_SHIFT),
         )

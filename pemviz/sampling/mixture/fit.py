@@ -99,6 +99,7 @@ class Fit:
         coefficients: ``[B]``.
         optimism: By how much it overstates the log likelihood of each rollout of the pool it
             was fitted to, ``[N]`` [nats].
+        of_outcomes: The part of it that is not of latents, ``[N]`` [nats].
         threshold: The level of robustness below which rollouts were learned from.
         elites: How many.
         loss: [nats a decision].
@@ -115,6 +116,7 @@ class Fit:
 
     coefficients: FloatArray
     optimism: FloatArray
+    of_outcomes: FloatArray
     threshold: float
     elites: int
     loss: float
@@ -306,9 +308,9 @@ def _log_likelihood(parts: Sequence[tuple[Sequence[Fit], FloatArray]]) -> float:
 def nearest_modes(pool: Pool, rows: IntArray, needed: Sequence[BoolArray]) -> IntArray:
     """The known mode that each of these rollouts has most misses of, ``[n]``.
 
-    ``len(needed)``: less than half of what any rollout of any needs; or rollouts have latents.
+    ``len(needed)``: less than half of what any rollout of any needs; or steps have noise.
     """
-    if not needed or pool.latents is not None:
+    if not needed or pool.noisy:
         return np.full(rows.size, len(needed), dtype=np.int64)
     decisions = pool.decisions
     row = np.searchsorted(rows, decisions.rollout).clip(0, rows.size - 1)
@@ -411,8 +413,8 @@ def fitted(
         likelihood = penalised - fit.loss * float(outcomes.weight.sum())
         # of rollouts each left out of the fit
         tried.append((likelihood - float(weight @ optimism), fit, optimism))
-    log_likelihood, found, optimism = max(tried, key=lambda one: one[0])
-    means = None
+    log_likelihood, found, of_outcomes = max(tried, key=lambda one: one[0])
+    means, optimism = None, of_outcomes
     if pool.latents is not None:
         of_noise = _noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
         latents = pool.latents.where(pool.open_noise)
@@ -427,6 +429,7 @@ def fitted(
     return Fit(
         coefficients=found.coefficients,
         optimism=optimism,
+        of_outcomes=of_outcomes,
         means=means,
         threshold=elites.threshold,
         elites=elites.count,
@@ -441,10 +444,10 @@ def _and_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Sequence[Fit]:
     """The proposal; before it one that looks at the step alone, where that is clearly nearer.
 
     A share of the rollouts stays with the proposal: what violates otherwise than most would have
-    weights without bound if the step decided alone. Where rollouts have latents, what an outcome
-    does depends on them: there it is as it was.
+    weights without bound if the step decided alone. Where steps have noise, what an outcome does
+    depends on it: there it is as it was.
     """
-    if pool.latents is not None:
+    if pool.noisy:
         return (fit,)
     outcomes, group, step = _outcomes(pool, weight)
     found = fit_step_offsets(outcomes, step=step, steps=pool.steps, group=group, count=weight.size)
@@ -455,7 +458,8 @@ def _and_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Sequence[Fit]:
         fit,
         coefficients=np.zeros_like(fit.coefficients),
         by_step=found.offsets,
-        optimism=found.optimism,
+        optimism=fit.optimism - fit.of_outcomes + found.optimism,
+        of_outcomes=found.optimism,
         loss=found.loss,
         departure=float(outcomes.weight @ departs) / float(weight.sum()),
         log_likelihood=found.log_likelihood,

@@ -45,7 +45,7 @@ MOST_ALONE, MOST_ALONE_OF_ALL = 0.3, 0.1
 ENOUGH_OF_A_MODE = 4
 """To tell how they differ among themselves."""
 PLACES = 2
-"""Of time, in which a violation that is moved to the end may need misses; without latents."""
+"""Of time, in which a violation that is moved to the end may need misses; without noise."""
 MOST_LOOKED_AT, MOST_TRIED = 1_000, 40
 """Of a stage's violations, and of these without what known modes need."""
 SPAWN_KEY = 2**32 - 4
@@ -144,7 +144,7 @@ class Rejuvenated:
     ) -> tuple[Moved | None, int]:
         """Some of what a stage has met, and how many rollouts it took."""
         known, simulated, new, done = self.moved, 0, list[Moved](), 0
-        places = 1 if latent_counts(problem.simulator) else PLACES
+        places = 1 if latent_counts(problem.simulator).noise else PLACES
         for _ in range(ROUNDS if known is None else 1):
             some, needed, took = _to_move(
                 problem, met, known, done=done, most=most - simulated, generator=generator

@@ -174,7 +174,7 @@ def rejuvenated(
     else:
         waiting, begins = [_stretches(row) for row in needed], np.zeros(met.count, dtype=np.int64)
         needed = needed.copy()
-    rests = np.full(met.count, RESTS if shape.latents else 0)
+    rests = np.full(met.count, RESTS if shape.noise else 0)
     while simulated < most:
         rows = np.array([row for row, some in enumerate(waiting) if some], dtype=np.int64)
         rows = rows[: most - simulated]
@@ -187,7 +187,7 @@ def rejuvenated(
         accepted = _violated(problem, tried.rollouts)[np.arange(rows.size), kept[rows]]
         accepted &= ~lost_rows(tried.rollouts)
         changed = tried.rollouts.detected != before.rollouts.detected
-        if not shape.latents:  # a single step that is missed again tells nothing
+        if not shape.noise:  # a single step that is missed again tells nothing
             single = np.array([move.is_single for move in moves])
             accepted &= ~single | ~_missed_again(angle, before, tried)
         needed[rows[accepted]] &= angle[accepted, 1:] != ANEW
