@@ -65,8 +65,8 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
-LARGEST_SCARCE = 0.5
-"""Share of a mode whose rollouts may be too few beside others'."""
+LARGEST_SCARCE, FEW_OF_A_MODE = 0.5, 10.0
+"""Share of a mode whose rollouts may be too few beside others', and rollouts that tell no share."""
 MOST_MODES, MOST_UNSEEN = 5, 0.5
 """Of which proposals have the misses that they need; probability of one that none has needed."""
 LEVEL = 0.995
@@ -120,8 +120,7 @@ def fits_to_unknown(
             alike = alike.under_rule(rule) if rule else alike
             for one in alike.each_conjunct():
                 fits += _fits_to_modes(one, basis, settings) if one.violated.any() else ()
-            if not alike.noisy:
-                needing += _fits_to_needed(found, unknown, rule, terms, basis, settings)
+            needing += _fits_to_needed(found, unknown, rule, terms, basis, settings)
     kinds = [alike for alike in (fits, needing) if alike]
     return [
         replace(fit, optimism=none, share=1.0 / len(alike) / len(kinds))
@@ -143,7 +142,7 @@ def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[
         if not log_weight.size:
             continue
         log_share = log_sum(log_weight) - log_total
-        enough = ENOUGH * math.exp(log_share)
+        enough = max(ENOUGH * math.exp(log_share), FEW_OF_A_MODE)
         if log_share < math.log(LARGEST_SCARCE) and effective_sample_size(log_weight) < enough:
             yield rows
 

@@ -308,9 +308,9 @@ def _log_likelihood(parts: Sequence[tuple[Sequence[Fit], FloatArray]]) -> float:
 def nearest_modes(pool: Pool, rows: IntArray, needed: Sequence[BoolArray]) -> IntArray:
     """The known mode that each of these rollouts has most misses of, ``[n]``.
 
-    ``len(needed)``: less than half of what any rollout of any needs; or steps have noise.
+    ``len(needed)``: less than half of what any rollout of any needs.
     """
-    if not needed or pool.noisy:
+    if not needed:
         return np.full(rows.size, len(needed), dtype=np.int64)
     decisions = pool.decisions
     row = np.searchsorted(rows, decisions.rollout).clip(0, rows.size - 1)
@@ -444,11 +444,8 @@ def _and_by_step(fit: Fit, pool: Pool, weight: FloatArray) -> Sequence[Fit]:
     """The proposal; before it one that looks at the step alone, where that is clearly nearer.
 
     A share of the rollouts stays with the proposal: what violates otherwise than most would have
-    weights without bound if the step decided alone. Where steps have noise, what an outcome does
-    depends on it: there it is as it was.
+    weights without bound if the step decided alone.
     """
-    if pool.noisy:
-        return (fit,)
     outcomes, group, step = _outcomes(pool, weight)
     found = fit_step_offsets(outcomes, step=step, steps=pool.steps, group=group, count=weight.size)
     if found.log_likelihood <= fit.log_likelihood + LEAST_GAIN * float(weight.sum()):

@@ -33,7 +33,6 @@ from pemviz.sampling.subset.rejuvenation import (
     without_known,
 )
 from pemviz.sampling.subset.run import simulated_from
-from pemviz.simulators.latents import latent_counts
 from pemviz.types import ScoredRollouts
 
 SHARE = 0.2
@@ -45,7 +44,7 @@ MOST_ALONE, MOST_ALONE_OF_ALL = 0.3, 0.1
 ENOUGH_OF_A_MODE = 4
 """To tell how they differ among themselves."""
 PLACES = 2
-"""Of time, in which a violation that is moved to the end may need misses; without noise."""
+"""Of time, in which a violation that is moved to the end may need misses."""
 MOST_LOOKED_AT, MOST_TRIED = 1_000, 40
 """Of a stage's violations, and of these without what known modes need."""
 SPAWN_KEY = 2**32 - 4
@@ -144,23 +143,24 @@ class Rejuvenated:
     ) -> tuple[Moved | None, int]:
         """Some of what a stage has met, and how many rollouts it took."""
         known, simulated, new, done = self.moved, 0, list[Moved](), 0
-        places = 1 if latent_counts(problem.simulator).noise else PLACES
+        each = moves_of_each(problem)
         for _ in range(ROUNDS if known is None else 1):
             some, needed, took = _to_move(
                 problem, met, known, done=done, most=most - simulated, generator=generator
             )
             simulated += took
-            few = min(MOST, some.count, (most - simulated) // moves_of_each(problem))
+            few = min(MOST, some.count, (most - simulated) // each)
             if few < 1:
                 break
             moved, took = rejuvenated(
                 problem,
                 some.take(slice(few)),
-                most=min(places * few * moves_of_each(problem), most - simulated),
+                most=min(PLACES * few * moves_of_each(problem), most - simulated),
                 generator=generator,
                 needed=None if needed is None else needed[:few],
             )
             simulated += took
+            each = max(each, took // few)  # as few as can be moved to the end
             new.append(moved)
             known = moved if known is None else Moved.concatenate([known, moved])
             if needed is None:

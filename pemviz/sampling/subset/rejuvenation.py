@@ -56,12 +56,17 @@ class Move:
         """Whether it is of one step, or the start."""
         return self.end - self.first == 1 and self.first >= -1
 
+    @property
+    def is_turn(self) -> bool:
+        """Whether something of the old numbers stays."""
+        return self.angle != ANEW
+
     def next(self, *, accepted: bool, turns: bool, swaps: bool) -> "Sequence[Move]":
         """What is tried after it; single steps are turned or not, halves may swap places."""
         if accepted and self.other is not None:  # the violation needs the other half
             return self.other.parts(turns=turns, swaps=swaps)
         if accepted:
-            return () if self.angle == ANEW else (self,)
+            return (self,) if self.is_turn else ()
         rest = () if self.other is None else (self.other,)
         return (*self.parts(turns=turns, swaps=swaps), *rest)
 
@@ -174,7 +179,7 @@ def rejuvenated(
     else:
         waiting, begins = [_stretches(row) for row in needed], np.zeros(met.count, dtype=np.int64)
         needed = needed.copy()
-    rests = np.full(met.count, RESTS if shape.noise else 0)
+    rests, turned = np.zeros((2, met.count), dtype=np.int64)
     while simulated < most:
         rows = np.array([row for row, some in enumerate(waiting) if some], dtype=np.int64)
         rows = rows[: most - simulated]
@@ -187,9 +192,9 @@ def rejuvenated(
         accepted = _violated(problem, tried.rollouts)[np.arange(rows.size), kept[rows]]
         accepted &= ~lost_rows(tried.rollouts)
         changed = tried.rollouts.detected != before.rollouts.detected
-        if not shape.noise:  # a single step that is missed again tells nothing
-            single = np.array([move.is_single for move in moves])
-            accepted &= ~single | ~_missed_again(angle, before, tried)
+        # a single step that is missed again tells nothing
+        single = np.array([move.is_single and not move.is_turn for move in moves])
+        accepted &= ~single | ~_missed_again(angle, before, tried)
         needed[rows[accepted]] &= angle[accepted, 1:] != ANEW
         place = np.arange(met.count)
         place[rows[accepted]] = met.count + np.flatnonzero(accepted)
@@ -205,9 +210,14 @@ def rejuvenated(
                 waiting[row], begins[row] = _stretches(wanting), 0
                 continue
             waiting[row] += move.next(accepted=passed, turns=turns, swaps=bool(swaps[number]))
+            turned[row] += move.is_turn
             if not waiting[row] and rests[row] < RESTS:
                 waiting[row] = [THE_REST]
-    done = np.array([not some for some in waiting])
+            # what is needed first, then by how much
+            waiting[row].sort(key=lambda move: move.is_turn)
+            if turned[row] >= MOVES_OF_LATENTS and all(move.is_turn for move in waiting[row]):
+                waiting[row] = []
+    done = np.array([all(move.is_turn for move in some) for some in waiting])
     return Moved(met.numbers, met.rollouts, needed, done), simulated
 
 
