@@ -1,6 +1,6 @@
 """Violations that are freed of the errors they do not need, and what is learned from them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.special import expit
 from benchmarks.trust_cases import trust_cases
 from benchmarks.trust_systems import WINDOW, MissesInSets, ScatteredMisses, windows
 from pemviz.config import ExperimentConfig
+from pemviz.latents import LatentCounts
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.estimates.importance_weights import log_sum
@@ -430,3 +431,32 @@ def test_failure_modes_in_several_places_of_time(system):
     ratio = np.array([estimate.probability for estimate in found]) / truth
     assert np.all(np.abs(ratio - 1.0) < 0.25), ratio
     assert sum(each.ci_low < truth < each.ci_high for each in found) >= 9
+
+
+@dataclass(frozen=True, kw_only=True)
+class BesideLatents(ScatteredMisses):
+    """A start and noise that change nothing."""
+
+    latents: LatentCounts
+
+    def initial(self, *, count, start=None):
+        return super().initial(count=count)
+
+    def step(self, states, detected, noise=None):
+        return super().step(states, detected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("system", "latents"),
+    [(PLACES, LatentCounts(start=1)), (FAR, LatentCounts(noise=1))],
+    ids=["start", "noise"],
+)
+def test_failure_modes_in_several_places_of_time_beside_latents(system, latents):
+    """Which changes nothing; half was left out unwarned, or all of it warned of."""
+    beside = BesideLatents(sets=system.sets, needed=system.needed, latents=latents)
+    truth = system.probability(miss=0.05)
+    found = [run(experiment_of(beside, seed=seed)).estimate for seed in range(4)]
+    ratio = np.array([estimate.probability for estimate in found]) / truth
+    assert np.all(np.abs(ratio - 1.0) < 0.25), ratio
+    assert sum(bool(each.diagnostics) for each in found) <= 1

@@ -310,7 +310,7 @@ def nearest_modes(pool: Pool, rows: IntArray, needed: Sequence[BoolArray]) -> In
 
     ``len(needed)``: less than half of what any rollout of any needs.
     """
-    if not needed:
+    if not needed or not rows.size:
         return np.full(rows.size, len(needed), dtype=np.int64)
     decisions = pool.decisions
     row = np.searchsorted(rows, decisions.rollout).clip(0, rows.size - 1)

@@ -31,7 +31,7 @@ NEARLY_ALL, MOST_OF_THEM, HALF = 0.8, 0.7, 0.5
 """Of the misses that one rollout needs: for another to be where it has come from, to be in its
 mode, and to be where what both need is known."""
 MOVES_A_HALVING, MOVES_OF_LATENTS = 2, 6
-"""Of each rollout: times how often its steps can be halved, and so many more with latents."""
+"""Of each rollout: times how often its steps can be halved; latents are turned so often at most."""
 ANEW, LEAST_ANGLE = 0.5 * math.pi, math.pi / 32.0
 
 
@@ -214,9 +214,9 @@ def rejuvenated(
             if not waiting[row] and rests[row] < RESTS:
                 waiting[row] = [THE_REST]
             # what is needed first, then by how much
-            waiting[row].sort(key=lambda move: move.is_turn)
-            if turned[row] >= MOVES_OF_LATENTS and all(move.is_turn for move in waiting[row]):
-                waiting[row] = []
+            anew = [each for each in waiting[row] if not each.is_turn]
+            turning = [each for each in waiting[row] if each.is_turn]
+            waiting[row] = anew + turning if anew or turned[row] < MOVES_OF_LATENTS else []
     done = np.array([all(move.is_turn for move in some) for some in waiting])
     return Moved(met.numbers, met.rollouts, needed, done), simulated
 
