@@ -322,7 +322,7 @@ def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
     assert read_whole_run(folder).status == "done"
 
 
-SHORT = replace(SMALL, method="auto", repetitions=2, precision=0.05, max_rollouts=220)
+SHORT = replace(SMALL, method="auto", seed=2, precision=0.05, max_rollouts=220)
 
 
 def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):

@@ -369,7 +369,7 @@ def estimates_of(result):
 # zero-variance takes long to begin, and its estimates have nothing wrong
 @pytest.fixture(scope="module", params=sorted({*METHODS.shipped} - {"zero-variance"}))
 def warned_result(request):
-    return run_experiment(ExperimentConfig(method=request.param, repetitions=2, **SIZES))
+    return run_experiment(ExperimentConfig(method=request.param, repetitions=2, seed=4, **SIZES))
 
 
 def test_what_is_read_back_is_as_reliable_as_it_was(warned_result):
