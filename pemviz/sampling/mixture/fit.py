@@ -253,16 +253,14 @@ def fits_to_failures(
         least_scatter=least_scatter,
         price=price,
     )
-    share, parts = modes.share, [(_and_by_step(first, pool, weight), weight)]
+    share, of_modes = modes.share, [(first, weight)]
     if share.size > 1:
         of_each = _smoothed_anew(pool, weight, exponent, modes.responsibilities(learned), settings)
-        parts = [
-            (
-                _and_by_step(fitted(pool, basis, elites, part, settings, start=start), pool, part),
-                part,
-            )
+        of_modes = [
+            (fitted(pool, basis, elites, part, settings, start=start), part)
             for part, start in zip(of_each, modes.coefficients, strict=True)
         ]
+    parts = [(_and_by_step(fit, pool, part), part) for fit, part in of_modes]
     apart = [
         (_and_by_step(fitted(pool, basis, elites, part, settings), pool, part), part)
         for part in _parts_by_misses(pool, weight, needed)

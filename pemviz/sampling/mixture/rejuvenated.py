@@ -12,6 +12,7 @@ So each is tried first without what known modes need: it is moved if it violates
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class Rejuvenated:
         """Rollouts that the newest stage's took."""
         return int(self.kept[SIMULATED]) if self.kept else 0
 
-    @property
+    @cached_property
     def modes(self) -> list[IntArray]:
         """Rows of the failure modes that are known by the misses that they need.
 
