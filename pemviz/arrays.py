@@ -146,3 +146,20 @@ def log_sum_exp(values: FloatArray, *, axis: int | None = None) -> Any:
             plain = np.log(np.exp(values).sum(axis=axis, keepdims=True))
             found = np.where(undefined, plain, found)
     return found.squeeze(axis=axis)
+
+
+def times_sampled(weight: FloatArray, count: int) -> IntArray:
+    """How often each of weighted rollouts ``[N]`` is among ``count`` drawn in even steps."""
+    edges = np.cumsum(weight)
+    places = (np.arange(count) + 0.5) / count * edges[-1]
+    return np.bincount(np.searchsorted(edges, places), minlength=weight.size).astype(np.int64)
+
+
+def at_most(weight: FloatArray, most: int) -> FloatArray:
+    """The same weights ``[N]`` if ``most`` are not 0, else those of as many drawn, 0 elsewhere.
+
+    Either sum to the same.
+    """
+    if np.count_nonzero(weight) <= most:
+        return weight
+    return times_sampled(weight, most) * (weight.sum() / most)

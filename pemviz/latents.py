@@ -78,11 +78,12 @@ class Latents(Batch):
     What is not declared has no columns: S or M is 0 there. Noise of a step is moved with a
     probability c, its share, else not; of M together then, with z, m and s vectors,
 
-        q(z) = (1 - c) N(z; 0, 1) + c (N(z; m, 1) + N(z; m, s^2)) / 2
+        q(z) = (1 - c) N(z; 0, 1) + c ((1 - j) N(z; m, 1) + j N(z; n, s^2))
 
     An error that has to be above a limit far out is a little above it: the smaller s is, the more
-    of the moved noise lies there, while half of it has the model's own tail. The latents at the
-    start are always moved: c is 1 there.
+    of the moved noise lies there, while the rest of it has the model's own tail. Where n is m and j
+    a half, both lie around the same; or a few steps are moved far, to n, and others a little, to m.
+    The latents at the start are always moved, around one mean: c is 1 there, j a half.
 
     Attributes:
         start: ``[N, S]``, seeds after them, standard normal under the model.
@@ -92,6 +93,8 @@ class Latents(Batch):
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
         noise_sd: ``[N, T-1, M]``, 1 unless a proposal says less.
+        noise_narrow_mean: That of what has this spread, ``[N, T-1, M]``; ``None``: the same.
+        noise_narrow_share: How much of the moved noise that is, ``[N, T-1]``; ``None``: half.
         start_choice: Log p - log q of the start ``[N]`` where a proposal chooses it among others
             and moves no mean; ``None`` elsewhere.
     """
@@ -103,31 +106,63 @@ class Latents(Batch):
     noise_mean: FloatArray
     noise_share: FloatArray
     noise_sd: FloatArray
+    noise_narrow_mean: FloatArray | None = None
+    noise_narrow_share: FloatArray | None = None
     start_choice: FloatArray | None = None
+
+    @property
+    def noise_narrow(self) -> tuple[FloatArray, ...]:
+        """Mean and share of narrow noise where they are its own, else nothing."""
+        own = self.noise_narrow_mean, self.noise_narrow_share
+        return tuple(values for values in own if values is not None)
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""
         of_start = log_moved(self.start, self.start_mean, self.start_sd)
-        moved = log_moved(self.noise, self.noise_mean, self.noise_sd)
+        moved = log_moved(
+            self.noise,
+            self.noise_mean,
+            self.noise_sd,
+            narrow_mean=self.noise_narrow_mean,
+            narrow_share=self.noise_narrow_share,
+        )
         of_noise = row_sums(log_share_moved(moved, self.noise_share))
         of_choice = 0.0 if self.start_choice is None else self.start_choice
         return read_only(np.asarray(of_choice - of_start - of_noise))
 
 
-def log_moved(noise: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
-    """Log of moved over unmoved density of noise ``[..., M]`` with means and spreads, ``[...]``."""
-    wide, narrow = log_wide_and_narrow(noise, mean, sd)
-    as_wide = np.all(sd == 1.0, axis=-1)
-    return np.where(as_wide, wide, np.logaddexp(wide, narrow) - np.log(2.0))
+def log_moved(
+    noise: FloatArray,
+    mean: FloatArray,
+    sd: FloatArray,
+    *,
+    narrow_mean: FloatArray | None = None,
+    narrow_share: FloatArray | None = None,
+) -> FloatArray:
+    """Log of moved over unmoved density of noise ``[..., M]`` with means and spreads, ``[...]``.
+
+    Half of it has the spreads, or ``narrow_share [...]``, around the same means or ``narrow_mean``.
+    """
+    wide, narrow = log_wide_and_narrow(noise, mean, sd, narrow_mean=narrow_mean)
+    if narrow_share is None:
+        as_wide = np.all(sd == 1.0, axis=-1)
+        return np.where(as_wide, wide, np.logaddexp(wide, narrow) - np.log(2.0))
+    with np.errstate(divide="ignore"):  # nothing is narrow, or all
+        log_shares = np.log1p(-narrow_share), np.log(narrow_share)
+    return np.logaddexp(log_shares[0] + wide, log_shares[1] + narrow)
 
 
 def log_wide_and_narrow(
-    noise: FloatArray, mean: FloatArray, sd: FloatArray
+    noise: FloatArray, mean: FloatArray, sd: FloatArray, *, narrow_mean: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Logs of N(z; m, 1) and of N(z; m, s^2) over N(z; 0, 1), of M together, ``[...]`` each."""
+    """Logs of N(z; m, 1) and of N(z; n, s^2) over N(z; 0, 1), of M together, ``[...]`` each.
+
+    Without ``narrow_mean``, n is m.
+    """
     wide = np.sum(mean * (noise - 0.5 * mean), axis=-1)
-    narrow = 0.5 * noise**2 - 0.5 * ((noise - mean) / sd) ** 2 - np.log(sd)
+    around = mean if narrow_mean is None else narrow_mean
+    narrow = 0.5 * noise**2 - 0.5 * ((noise - around) / sd) ** 2 - np.log(sd)
     return wide, np.sum(narrow, axis=-1)
 
 

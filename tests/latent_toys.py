@@ -68,6 +68,36 @@ class Drift:
         return float(stats.binom.pmf(misses, steps, miss) @ beyond)
 
 
+GUSTS_M = (-1.0, -0.25, 0.0, 0.25, 1.0)
+GUST_SHARES = (0.02, 0.3, 0.36, 0.3, 0.02)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gusts(Drift):
+    """A drift by gusts of five sizes, those far out rare, from 0."""
+
+    start_sd_m: float = 0.0
+    name: str = "gusts"
+
+    def step(
+        self, states: StateBatch, detected: BoolArray, noise: FloatArray | None = None
+    ) -> StateBatch:
+        assert noise is not None
+        place = np.searchsorted(np.cumsum(GUST_SHARES)[:-1], ndtr(noise[:, 0]))
+        after = states.signals["distance"] + np.array(GUSTS_M)[place]
+        return StateBatch(step=states.step + 1, signals={"distance": after})
+
+    def probability(self, limit_m: float, *, miss: float = 0.0) -> float:
+        """The distribution of the sum, in quarters, by convolution."""
+        each = np.zeros(9)
+        each[[4 + round(4.0 * gust_m) for gust_m in GUSTS_M]] = GUST_SHARES
+        of_sum = np.ones(1)
+        for _ in range(self.states - 1):
+            of_sum = np.convolve(of_sum, each)
+        quarters = np.arange(of_sum.size) - of_sum.size // 2
+        return float(of_sum[quarters > 4.0 * limit_m].sum())
+
+
 @dataclass(frozen=True, kw_only=True)
 class LargestError:
     """Violates where a step's error, with ``needs_miss`` a missed one's, is above a limit."""

@@ -29,6 +29,8 @@ def rollouts(generator, count):
             *(generator.normal(size=(2, STATES - 1, count)).T for _ in range(2)),
             generator.random(size=shape).T,
             generator.random(size=(2, STATES - 1, count)).T,
+            generator.normal(size=(2, STATES - 1, count)).T,
+            generator.random(size=shape).T,
             generator.normal(size=count),
         ),
     )

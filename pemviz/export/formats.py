@@ -8,8 +8,8 @@ scenario and of simulators of the user's own; each signal under its key; the out
 was sampled from [nats]. Of several slots each has these three, ``detected.NAME``. Of a scenario
 with latents each one, ``latents.start.0``, and the mean that it was sampled with,
 ``latents.start_mean.0``; those at the start are the same in all rows; of noise also how likely it
-was to be moved, ``latents.noise_share``, and its spread then. At the last state perception does not
-act: what belongs to a step is empty there.
+was to be moved, ``latents.noise_share``, and its spread, mean and share where it was to be narrow.
+At the last state perception does not act: what belongs to a step is empty there.
 """
 
 import csv
@@ -30,7 +30,8 @@ from pemviz.runs.kept_rollout import PER_OUTCOME, KeptRollout
 
 Format = Literal["openscenario", "commonroad", "csv", "parquet"]
 INSTALL = "pip install 'pemviz[export]'"
-SHARE = "noise_share"
+SHARES = "noise_share", "noise_narrow_share"
+"""One for all latents of a step."""
 METADATA = b"pemviz"
 """Key of a Parquet file's metadata under which the run's settings stand as JSON."""
 
@@ -59,7 +60,7 @@ def columns(rollout: KeptRollout) -> dict[str, list[Any]]:
             values: Mapping[str, AnyArray] = getattr(rollout, name)
             table[f"{name}.{slot}" if slot else name] = [*values[slot].tolist(), None]
     for name, latents in rollout.latents.items():
-        if name == SHARE:  # one for all latents of a step
+        if name in SHARES:
             table[f"latents.{name}"] = [*latents.tolist(), None]
             continue
         for place in range(latents.shape[-1]):

@@ -43,8 +43,9 @@ class KeptRollout:
         log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
         log_q: ``[T-1]`` the same under the distribution that they were sampled from [nats].
         latents: Of a scenario that takes some: ``start``, the means ``start_mean`` and spreads
-            ``start_sd`` that it was sampled with ``[S]``, ``noise``, ``noise_mean`` and
-            ``noise_sd`` ``[T-1, M]``, and ``noise_share`` ``[T-1]``.
+            ``start_sd`` that it was sampled with ``[S]``, ``noise``, ``noise_mean``, ``noise_sd``
+            and ``noise_narrow_mean`` ``[T-1, M]``, ``noise_share`` and ``noise_narrow_share``
+            ``[T-1]``.
     """
 
     result: RunResult

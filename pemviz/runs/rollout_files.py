@@ -91,7 +91,12 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
     shapes = {"start": start, "start_mean": start, "start_sd": start}
     shapes |= {"noise": noise, "noise_mean": noise, "noise_share": noise[:2], "noise_sd": noise}
-    shapes |= {name: start[:1] for name in ("start_choice",) if name in found}
+    optional = {
+        "noise_narrow_mean": noise,
+        "noise_narrow_share": noise[:2],
+        "start_choice": start[:1],
+    }
+    shapes |= {name: shape for name, shape in optional.items() if name in found}
     kept: dict[str, AnyArray] = {}
     for name, shape in shapes.items():
         declared = columns.get(name.partition("_")[0], 0) > 0

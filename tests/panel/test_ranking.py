@@ -204,11 +204,12 @@ def test_weights_and_shares_count_latents(controller):
     run = wait_until(controller).run
     table = run.rollouts
     of_outcomes = (table["log_p"] - table["log_q"]).sum(axis=1)
-    # noise is drawn from (1 - c) N(0, 1) + c (N(mean, 1) + N(mean, sd^2)) / 2
+    # noise is drawn from (1 - c) N(0, 1) + c ((1 - j) N(mean, 1) + j N(narrow_mean, sd^2))
     names = ("noise", "noise_mean", "noise_share", "noise_sd")
     z, mean, share, sd = (table[f"latents.{n}"] for n in names)
-    narrow = np.exp((0.5 * z**2 - 0.5 * ((z - mean) / sd) ** 2).sum(axis=2)) / sd.prod(axis=2)
-    moved = 0.5 * narrow + 0.5 * np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
+    around, j = (table[f"latents.noise_narrow_{n}"] for n in ("mean", "share"))
+    narrow = np.exp((0.5 * z**2 - 0.5 * ((z - around) / sd) ** 2).sum(axis=2)) / sd.prod(axis=2)
+    moved = j * narrow + (1.0 - j) * np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
     of_latents = -np.log1p(share * (moved - 1.0)).sum(axis=1)
     begun, moved_by, sd = (table[f"latents.{n}"] for n in ("start", "start_mean", "start_sd"))
     narrow = norm.pdf(begun, moved_by, sd).prod(axis=1)

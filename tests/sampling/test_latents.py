@@ -17,9 +17,8 @@ from pemviz.proposals.latent_moves import (
     LatentMeans,
     StartMoves,
     even_logit,
-    fit_means,
-    scores,
 )
+from pemviz.proposals.latent_moves_fit import fit_means, scores
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.pooled import PooledRunner
@@ -28,6 +27,7 @@ from tests.faults.test_resume import stopped_and_whole
 from tests.latent_toys import (
     Drift,
     Flat,
+    Gusts,
     LargestError,
     RandomWalkStart,
     TwoDrifts,
@@ -312,6 +312,34 @@ def test_means_are_found_again():
     assert 1.0 / (1.0 + np.exp(-found.choice[0])) == pytest.approx(0.2, abs=0.05)
 
 
+def test_narrow_noise_is_found_apart():
+    """At a fifth of the steps around 2.5 + x, narrow; at half around -0.4; else the model's."""
+    generator = np.random.default_rng(7)
+    latents = latents_of_walkers(generator)
+    which = generator.random(latents.rollout.size)
+    narrow = 0.3 * latents.noise + (2.5 + latents.basis[:, 1])[:, None]
+    noise = np.where((which < 0.2)[:, None], narrow, latents.noise)
+    noise = np.where((which > 0.5)[:, None], latents.noise - 0.4, noise)
+    drawn_with = replace(latents, noise=noise)
+    found = fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01, 0.1]))[0]
+    assert found.narrow is not None
+    assert found.narrow[0] == pytest.approx([2.5, 1.0], abs=0.15)
+    assert found.sd == pytest.approx([0.3], abs=0.05)
+    share, of_moved = expit(found.choice[0]), expit(found.narrow[-1, 0])
+    assert share * of_moved == pytest.approx(0.2, abs=0.03)
+    of_rest = share * (1.0 - of_moved) * found.noise[0, 0]
+    assert of_rest == pytest.approx(-0.2, abs=0.05)
+
+
+def test_noise_that_one_mean_explains_is_not_told_apart():
+    generator = np.random.default_rng(8)
+    latents = latents_of_walkers(generator)
+    drawn_with = replace(latents, noise=latents.noise + 0.5)
+    assert (
+        fit_means(drawn_with, np.ones(latents.count), ridge=np.array([0.01, 0.1]))[0].narrow is None
+    )
+
+
 def test_densities_are_densities():
     """Of exploration and of fitted means: their ratio to the model has mean 1 under the model."""
     generator = np.random.default_rng(4)
@@ -325,11 +353,15 @@ def test_densities_are_densities():
     rollout, basis = np.repeat(np.arange(20_000), 3), np.ones((60_000, 1))
     even = even_logit(np.tile(np.arange(3), 20_000), steps=3)
     decisions = LatentDecisions(start, rollout, basis, noise.reshape(-1, 1), even)
-    for means in (LatentMeans(*fitted), LatentMeans(*fitted, once=True)):
+    narrow = np.array([[1.1], [-0.4]])
+    apart = LatentMeans(*fitted, narrow=narrow), LatentMeans(*fitted, once=True, narrow=narrow)
+    for means in (LatentMeans(*fitted), LatentMeans(*fitted, once=True), *apart):
         ratio = np.exp(means.log_ratio(decisions))
         assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
         gradient = scores(means, decisions)[:5]
         nudged = replace(means, noise=means.noise + 1e-6)
+        if means.narrow is not None:
+            nudged = replace(nudged, narrow=means.narrow + np.array([[1e-6], [0.0]]))
         slope = (nudged.log_ratio(decisions) - means.log_ratio(decisions))[:5] / 1e-6
         np.testing.assert_allclose(gradient[:, 1], slope, rtol=1e-4, atol=1e-5)
 
@@ -354,9 +386,10 @@ def test_one_step_at_most_is_moved():
 
 
 @pytest.mark.parametrize(
-    ("simulator", "limit", "once"), [(SLOTS, 3.0, False), (LargestError(), 6.0, True)]
+    ("simulator", "limit", "once", "apart"),
+    [(SLOTS, 3.0, False, False), (LargestError(), 6.0, True, False), (Gusts(), 5.1, False, True)],
 )
-def test_what_is_drawn_is_what_is_weighed(simulator, limit, once):
+def test_what_is_drawn_is_what_is_weighed(simulator, limit, once, apart):
     """The weight that a rollout's file tells is that under the proposal of its stage's pool.
 
     That of one step moved at most is a sum over steps, and drawn a step at a time.
@@ -374,6 +407,24 @@ def test_what_is_drawn_is_what_is_weighed(simulator, limit, once):
     fitted = pool.component[-count:] > 0
     assert fitted.any()
     assert state.fits[0].means.once == once
-    assert (scored.rollouts.latents.noise_sd[fitted] < 0.5).any() == once
+    assert any(fit.means.narrow is not None for fit in state.fits) == apart
+    narrow = scored.rollouts.latents.noise_sd[fitted] < 0.5
+    assert narrow.any() == (once or apart)
     log_weight = scored.rollouts.log_weight
     np.testing.assert_allclose(-own[fitted], log_weight[fitted], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_few_far_errors_among_many_small_ones():
+    """Three rare gusts of 16 and the rest a little to the same side; about 26,000 rollouts a run.
+
+    Were unwarned answers within 15 % of the truth in 95 % of runs, all of four would be in 81 %;
+    while one mean had to serve both, all of these warned, and two were within 15 %.
+    """
+    system, limit_m = Gusts(), 7.1
+    truth = system.probability(limit_m)
+    for seed in range(4):
+        settings = {"method": "auto", "max_rollouts": 20_000, "seed": seed}
+        found = pemviz.run(experiment_of(system, system.spec(limit_m), **settings)).estimate
+        assert not found.diagnostics
+        assert found.probability == pytest.approx(truth, rel=0.15)

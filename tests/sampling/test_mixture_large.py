@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pemviz.arrays import at_most
 from pemviz.config import ExperimentConfig
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, StartMoves
 from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import PLAIN, balance_weights, latent_ratios
 from pemviz.sampling.mixture.estimate import disagreements
-from pemviz.sampling.mixture.failure_modes import at_most
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.pooling import Terms, extended
 from pemviz.sampling.mixture.stages import InParts, Joining

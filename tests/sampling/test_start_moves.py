@@ -11,7 +11,8 @@ from scipy import stats
 
 from pemviz.latents import LatentCounts
 from pemviz.proposals.fixed import PemProposal
-from pemviz.proposals.latent_moves import StartMoves, fit_start, start_optimism
+from pemviz.proposals.latent_moves import StartMoves
+from pemviz.proposals.latent_moves_fit import fit_start, start_optimism
 from pemviz.sampling.rollouts.simulate import LatentTrack, NormalSource, ShapesLatents
 
 MOVES = StartMoves(np.array([2.5, -0.5, 0.0]), np.array([0.4, 1.0, 0.7]))
@@ -36,6 +37,9 @@ class Moved(PemProposal):
         return np.tile(self.moves.sd, (count, 1))
 
     def noise_mean(self, states, detected):
+        raise AssertionError
+
+    def noise_moves(self, states, detected):
         raise AssertionError
 
     def noise_sd(self, count):

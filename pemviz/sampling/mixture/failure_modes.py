@@ -19,14 +19,9 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 from scipy.special import expit
 
-from pemviz.arrays import FloatArray, IntArray, log_sum_exp
-from pemviz.proposals.latent_moves import (
-    LatentDecisions,
-    LatentMeans,
-    information,
-    next_round,
-    scores,
-)
+from pemviz.arrays import FloatArray, IntArray, log_sum_exp, times_sampled
+from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
+from pemviz.proposals.latent_moves_fit import information, next_round, scores
 from pemviz.proposals.offset_logistic_fit import LogisticFit, WeightedOutcomes, group_sums
 
 MOST_MODES = 4
@@ -255,20 +250,3 @@ def shares_of_rollouts(share: FloatArray) -> Sequence[float]:
     least = 0.5 / share.size
     raised = np.maximum(share, least)
     return [float(one) for one in raised / raised.sum()]
-
-
-def times_sampled(weight: FloatArray, count: int) -> IntArray:
-    """How often each of weighted rollouts ``[N]`` is among ``count`` drawn in even steps."""
-    edges = np.cumsum(weight)
-    places = (np.arange(count) + 0.5) / count * edges[-1]
-    return np.bincount(np.searchsorted(edges, places), minlength=weight.size).astype(np.int64)
-
-
-def at_most(weight: FloatArray, most: int) -> FloatArray:
-    """The same weights ``[N]`` if ``most`` are not 0, else those of as many drawn, 0 elsewhere.
-
-    Either sum to the same.
-    """
-    if np.count_nonzero(weight) <= most:
-        return weight
-    return times_sampled(weight, most) * (weight.sum() / most)

@@ -12,9 +12,10 @@ from typing import cast
 import numpy as np
 from scipy.special import expit
 
-from pemviz.arrays import BoolArray, FloatArray, IntArray
+from pemviz.arrays import BoolArray, FloatArray, IntArray, at_most
 from pemviz.proposals.defensive import LARGEST_SHARE
-from pemviz.proposals.latent_moves import LatentMeans, fit_means
+from pemviz.proposals.latent_moves import LatentMeans
+from pemviz.proposals.latent_moves_fit import fit_means
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.proposals.offset_logistic_fit import (
     LogisticFit,
@@ -30,7 +31,6 @@ from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule
 from pemviz.sampling.mixture.failure_modes import (
     LEAST_SCATTER,
     WeightedRollouts,
-    at_most,
     failure_modes_of,
     shares_of_rollouts,
 )

@@ -34,7 +34,7 @@ from pemviz.proposals.exploration import (
     LatentExploration,
     LatentFamily,
 )
-from pemviz.proposals.latent_moves import LatentMeans, StartMoves
+from pemviz.proposals.latent_moves import LatentMeans, NoiseMoves, StartMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit, has_many_features
@@ -132,7 +132,9 @@ class DividedMoves(DividedProposal):
         start: Fitted moves at the start, of each rollout its own, none for exploration proposals.
         noise: Fitted coefficients, ``[N, M, B]``, likewise.
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
-        sd: Spreads of half of the noise that is moved, ``[N, M]``, 1 for exploration proposals.
+        sd: Spreads of narrow noise, ``[N, M]``, 1 for exploration proposals.
+        narrow: Coefficients of narrow noise, as fitted means have them, ``[N, M + 1, B]``.
+        apart: Which have it apart from the other, ``[N]``.
         one: Which move one step's noise at most, ``[N]``.
         basis: Monomials of what fitted proposals look at and of the step's last outcome; ``None``
             if all rollouts are exploration proposals.
@@ -145,6 +147,8 @@ class DividedMoves(DividedProposal):
     noise: FloatArray
     choice: FloatArray
     sd: FloatArray
+    narrow: FloatArray
+    apart: BoolArray
     one: BoolArray
     basis: PolynomialBasis | None
     steps: int
@@ -163,14 +167,19 @@ class DividedMoves(DividedProposal):
         return self.one
 
     def noise_sd(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
-        """Of half of the noise that is moved, ``[N, M]``."""
+        """Of narrow noise, ``[N, M]``."""
         return self.sd
 
     def noise_mean(self, states: StateBatch, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Of a step's noise: means ``[N, M]`` and shares ``[N]``, 0 after a violation."""
+        """Of a step's noise: means ``[N, M]`` and shares ``[N]``."""
+        moves = self.noise_moves(states, detected)
+        return moves.mean, moves.share
+
+    def noise_moves(self, states: StateBatch, detected: BoolArray) -> NoiseMoves:
+        """Of a step's noise; nothing is moved after a violation."""
         step = int(states.step) // self.turns
-        mean = self.moved.noise_mean(step)
-        share = np.ones(len(mean))
+        mean = narrow_mean = self.moved.noise_mean(step)
+        share, narrow_share = np.ones(len(mean)), np.zeros(len(mean))
         if self.basis is not None:
             values = logistic.noise_features(self.exploration.features, states, detected)
             basis = self.basis.evaluate(values)
@@ -179,9 +188,14 @@ class DividedMoves(DividedProposal):
             even = latent_moves.even_logit(np.array(step), steps=self.steps)
             share = expit(np.where(self.one, logit + even, logit))
             share = np.where(self.explored, 1.0, share)
+            own, narrow_logit = latent_moves.narrow_moves(basis, self.narrow)
+            narrow_mean = np.where(self.apart[:, None], own, mean)
+            narrow_share = expit(np.where(self.apart, narrow_logit, 0.0))
+            narrow_share = np.where(self.explored, 0.0, narrow_share)
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
         over = over | self.targets.reached(states.memory)
-        return np.where(over[:, None], 0.0, mean), np.where(over, 0.0, share)
+        mean, narrow_mean = (np.where(over[:, None], 0.0, one) for one in (mean, narrow_mean))
+        return NoiseMoves(mean, np.where(over, 0.0, share), narrow_mean, narrow_share)
 
     def rows(self, rows: slice) -> Self:
         """What some of the rollouts are sampled from."""
@@ -192,6 +206,8 @@ class DividedMoves(DividedProposal):
             noise=self.noise[rows],
             choice=self.choice[rows],
             sd=self.sd[rows],
+            narrow=self.narrow[rows],
+            apart=self.apart[rows],
             one=self.one[rows],
         )
 
@@ -382,6 +398,7 @@ def _divided(
         start=counts.start, noise=counts.noise, basis=1 if basis is None else len(basis.exponents)
     )
     means = [fit.means or none if fit else none for fit in fits]
+    alike = np.zeros((counts.noise + 1, none.choice.size))
     return DividedMoves(
         exploration,
         fitted,
@@ -395,6 +412,8 @@ def _divided(
         noise=np.stack([each.noise for each in means]),
         choice=np.stack([each.choice for each in means]),
         sd=np.stack([each.sd for each in means]),
+        narrow=np.stack([alike if each.narrow is None else each.narrow for each in means]),
+        apart=np.array([each.narrow is not None for each in means]),
         one=np.array([each.once for each in means]),
         basis=basis,
         steps=steps,

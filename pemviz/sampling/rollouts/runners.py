@@ -141,7 +141,7 @@ def check_numbers(rollouts: RolloutBatch, *, simulator: str, turns: int = 1) -> 
     if rollouts.latents is not None:
         latents = rollouts.latents
         moved = latents.start_mean, latents.noise_mean, latents.noise_share
-        if not all(np.isfinite(values).all() for values in moved):
+        if not all(np.isfinite(values).all() for values in (*moved, *latents.noise_narrow)):
             message = "proposal: the mean of a latent is no finite number"
             raise SimulationError(message)
     worst, earliest = None, rollouts.pem_logit.shape[1] + 1

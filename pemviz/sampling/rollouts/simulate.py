@@ -11,7 +11,7 @@ from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
 from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
 from pemviz.pem.models.protocol import DetectorModel
-from pemviz.proposals.latent_moves import log_waiting
+from pemviz.proposals.latent_moves import NoiseMoves, log_waiting
 from pemviz.sampling.slots import turns_of
 from pemviz.sampling.state.composed import kept_with_rollouts, stayed
 from pemviz.simulators.episodic import episodic
@@ -40,7 +40,11 @@ class ShapesLatents(MovesLatents, Protocol):
         ...
 
     def noise_sd(self, count: int) -> FloatArray:
-        """Spreads of half of the noise that is moved, ``[N, M]``; 1 is that of the model."""
+        """Spreads of narrow noise, ``[N, M]``; 1 is that of the model."""
+        ...
+
+    def noise_moves(self, states: StateBatch, detected: BoolArray) -> NoiseMoves:
+        """Of the step that follows states ``[N]`` and outcomes ``[N]`` there."""
         ...
 
     def once(self, count: int) -> BoolArray:
@@ -122,6 +126,7 @@ class LatentTrack:
             mean[:, : moved.shape[1]] = moved
         none = np.zeros(normals.noise.shape)
         shares, one, sd = np.ones((count, steps)), np.ones(none.shape), np.ones(mean.shape)
+        narrow_share = np.zeros(shares.shape)
         if isinstance(proposal, ShapesLatents):
             shaped = proposal.start_sd(count)
             sd[:, : shaped.shape[1]] = shaped
@@ -130,7 +135,7 @@ class LatentTrack:
         choice = None
         if isinstance(proposal, ChoosesStart):
             start, choice = proposal.chosen_start(normals.start)
-        latents = Latents(start, mean, sd, none, none, shares, one, choice)
+        latents = Latents(start, mean, sd, none, none, shares, one, none, narrow_share, choice)
         blank = latents.map(lambda values: np.array(values, order="F"))
         if isinstance(proposal, ShapesLatents):
             once = proposal.once(count)
@@ -149,18 +154,38 @@ class LatentTrack:
         of_step, latents, normals = step // self.turns, self.latents, self.normals
         noise = normals.noise[:, of_step]
         if noise.shape[1] and isinstance(proposal, MovesLatents):
-            mean, share = proposal.noise_mean(states, detected)
-            due = np.where(self.once, share * np.exp(self.log_waits), share)
-            latents.noise_mean[:, of_step], latents.noise_share[:, of_step] = mean, due
-            chance, sd = ndtr(normals.choice[:, of_step]), latents.noise_sd[:, of_step]
-            noise = np.where((chance < 0.5 * due)[:, None], sd * noise, noise)
-            noise = noise + np.where((chance < due)[:, None], mean, 0.0)
-            if self.once.any():
-                moved = log_moved(noise, mean, sd)
-                given_none = np.where(self.once, share, 0.0)
-                self.log_waits[:] = log_waiting(self.log_waits, given_none, moved)
+            if isinstance(proposal, ShapesLatents):
+                moves = proposal.noise_moves(states, detected)
+            else:
+                mean, share = proposal.noise_mean(states, detected)
+                moves = NoiseMoves(mean, share, mean, np.zeros(share.shape))
+            noise = self._moved(noise, of_step, moves)
         latents.noise[:, of_step] = noise
         return latents.noise[:, of_step]
+
+    def _moved(self, noise: FloatArray, of_step: int, moves: NoiseMoves) -> FloatArray:
+        """Standard normals ``[N, M]`` of a step, moved."""
+        latents, sd = self.latents, self.latents.noise_sd[:, of_step]
+        due = np.where(self.once, moves.share * np.exp(self.log_waits), moves.share)
+        latents.noise_mean[:, of_step], latents.noise_share[:, of_step] = moves.mean, due
+        if latents.noise_narrow_mean is not None and latents.noise_narrow_share is not None:
+            latents.noise_narrow_mean[:, of_step] = moves.narrow_mean
+            latents.noise_narrow_share[:, of_step] = moves.narrow_share
+        chance = ndtr(self.normals.choice[:, of_step])
+        wide = noise + np.where((chance < due)[:, None], moves.mean, 0.0)
+        narrow = (chance < moves.narrow_share * due)[:, None]
+        noise = np.where(narrow, sd * noise + moves.narrow_mean, wide)
+        if self.once.any():
+            given_none = np.where(self.once, moves.share, 0.0)
+            moved = log_moved(
+                noise,
+                moves.mean,
+                sd,
+                narrow_mean=moves.narrow_mean,
+                narrow_share=moves.narrow_share,
+            )
+            self.log_waits[:] = log_waiting(self.log_waits, given_none, moved)
+        return noise
 
 
 def simulate(
