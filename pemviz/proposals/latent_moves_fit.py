@@ -198,7 +198,7 @@ def information(
     precision = 0.5 + 0.5 / means.sd**2
     if means.narrow is not None:  # as much as there is of it on average
         narrow = expit(narrow_moves(latents.basis, means.narrow)[1])
-        average = float(by_step @ narrow) / float(by_step.sum())
+        average = float(by_step @ narrow) / max(float(by_step.sum()), np.finfo(float).tiny)
         precision = 1.0 - average + average / means.sd**2
     found = np.zeros((at_start + moved * ridge.size,) * 2)
     found[:at_start, :at_start] = np.eye(at_start) * (weight.sum() + ridge[0])
@@ -258,33 +258,24 @@ class _NoiseFit:
 
         ``narrow`` is how likely it is narrow if it was moved; ``None``: by what was found before.
         """
-        latents, basis, by_step, (part, able) = (
-            self.latents,
-            self.latents.basis,
-            self.by_step,
-            parts,
-        )
+        latents, basis, (part, able) = self.latents, self.latents.basis, parts
         narrow = _narrow(before, latents) if narrow is None else narrow
-        of_moved, of_narrow = by_step * part, by_step * part * narrow
-        own = before.narrow
-        around = self._regression(of_moved if own is None else of_moved - of_narrow)
-        if own is not None:
-            share = expit(choice_logit(basis, own[-1]))
-            choice = self._newton_step(own[-1], of_narrow, of_moved, share)
-            own = np.vstack([self._regression(of_narrow), choice])
-        squares = (
-            of_narrow
-            @ (latents.noise - noise_means(basis, around if own is None else own[:-1])) ** 2
-        )
+        of_moved = self.by_step * part
+        of_narrow = of_moved * narrow
+        if before.narrow is None:
+            around = means = self._regression(of_moved)
+            own = None
+        else:
+            around, means = self._regression(of_moved - of_narrow), self._regression(of_narrow)
+            logits = before.narrow[-1]
+            share = expit(choice_logit(basis, logits))
+            own = np.vstack([means, self._newton_step(logits, of_narrow, of_moved, share)])
+        squares = of_narrow @ (latents.noise - noise_means(basis, means)) ** 2
         spread = np.sqrt((squares + SPREAD_RIDGE) / (of_narrow.sum() + SPREAD_RIDGE))
         share = expit(before.logit(latents))
-        return replace(
-            before,
-            noise=around,
-            choice=self._newton_step(before.choice, of_moved, by_step * able, share),
-            sd=spread.clip(LEAST_SPREAD, 1.0),
-            narrow=own,
-        )
+        choice = self._newton_step(before.choice, of_moved, self.by_step * able, share)
+        sd = spread.clip(LEAST_SPREAD, 1.0)
+        return replace(before, noise=around, choice=choice, sd=sd, narrow=own)
 
     def _regression(self, by_step: FloatArray) -> FloatArray:
         """Coefficients of means ``[M, B]`` of noise, by weights ``[L]``."""
