@@ -42,7 +42,7 @@ SPREAD_RIDGE = 0.5
 """So many moved steps of spread 1 count beside those that a spread is fitted to."""
 ROUNDS, ROUNDS_APART, LAST_ROUNDS = 8, 40, 3
 FEW = 300
-"""Rollouts that narrow noise is told apart by at most: it takes many rounds, the last with all."""
+"""Rollouts that beginnings are followed with at most; the last rounds are with all."""
 FAR = 2.0
 """Standard deviations of a single number, from which on noise counts as far at first."""
 LEAST_GAIN = 0.2
@@ -117,37 +117,44 @@ def fit_means(
         :func:`pemviz.proposals.offset_logistic_fit.leave_one_out_loss`.
     """
     rollouts = np.flatnonzero(weight > 0.0)
-    chosen, own = latents.of(rollouts), weight[rollouts]
-    distance = np.sum(chosen.noise**2, axis=1)
-    largest = np.full(chosen.count, -np.inf)
-    np.maximum.at(largest, chosen.rollout, distance)
-    farthest = (distance >= largest[chosen.rollout]).astype(np.float64)
-    up_to_farthest = (chosen.before(farthest) == 0.0).astype(np.float64)
-    all_steps = np.ones(chosen.rollout.size)
-    none = LatentMeans.unmoved(
-        start=latents.start.shape[1], noise=latents.noise.shape[1], basis=ridge.size
-    )
-    none = replace(none, start=fit_start(chosen.start, own, ridge=float(ridge[0])))
-    fitting, tried = _NoiseFit(chosen, own, ridge), list[LatentMeans]()
-    for means, parts in (
-        (none, (all_steps, all_steps)),
-        (none, (farthest, all_steps)),
-        (replace(none, once=True), (farthest, up_to_farthest)),
-    ):
-        found = fitting.maximised(means, parts)
-        tried.append(fitting.after(ROUNDS, found) if found.noise.size else found)
-
-    def penalised_likelihood(means: LatentMeans) -> float:
-        likelihood = float(own @ means.log_ratio(chosen))
-        return likelihood - 0.5 * float(np.sum(ridge * (means.noise**2).sum(axis=0)))
-
-    best = max(tried, key=penalised_likelihood)
+    fitting = _NoiseFit(latents.of(rollouts), weight[rollouts], ridge)
+    start, own = fitting.latents.start, fitting.weight
+    best = LatentMeans.unmoved(start=start.shape[1], noise=latents.noise.shape[1], basis=ridge.size)
+    best = replace(best, start=fit_start(start, own, ridge=float(ridge[0])))
     at_start, of_noise = np.zeros(weight.size), np.zeros(weight.size)
-    at_start[rollouts] = start_optimism(best.start, chosen.start, own, ridge=float(ridge[0]))
+    at_start[rollouts] = start_optimism(best.start, start, own, ridge=float(ridge[0]))
     if best.noise.size:
-        best = best if best.once else _apart_if_better(best, fitting)
+        few = fitting.of_few()
+        best = _best_of_beginnings(best, few)
+        best = best if best.once else _apart_if_better(best, few)
+        best = best if few is fitting else fitting.after(LAST_ROUNDS, best)
         of_noise[rollouts] = fitting.pull(best)
     return best, at_start, of_noise
+
+
+def _best_of_beginnings(none: LatentMeans, fitting: "_NoiseFit") -> LatentMeans:
+    """From all steps moved, or the farthest of each rollout, by itself or as the one there is."""
+    latents = fitting.latents
+    distance = np.sum(latents.noise**2, axis=1)
+    largest = np.full(latents.count, -np.inf)
+    np.maximum.at(largest, latents.rollout, distance)
+    farthest = (distance >= largest[latents.rollout]).astype(np.float64)
+    up_to_farthest = (latents.before(farthest) == 0.0).astype(np.float64)
+    all_steps = np.ones(distance.size)
+    tried = [
+        fitting.after(ROUNDS, fitting.maximised(means, parts))
+        for means, parts in (
+            (none, (all_steps, all_steps)),
+            (none, (farthest, all_steps)),
+            (replace(none, once=True), (farthest, up_to_farthest)),
+        )
+    ]
+
+    def penalised_likelihood(means: LatentMeans) -> float:
+        likelihood = float(fitting.weight @ means.log_ratio(latents))
+        return likelihood - 0.5 * float(np.sum(fitting.ridge * (means.noise**2).sum(axis=0)))
+
+    return max(tried, key=penalised_likelihood)
 
 
 def _apart_if_better(together: LatentMeans, fitting: "_NoiseFit") -> LatentMeans:
@@ -155,18 +162,16 @@ def _apart_if_better(together: LatentMeans, fitting: "_NoiseFit") -> LatentMeans
 
     What is far is narrow at first, and half of the rest is moved.
     """
-    few = fitting.of_few()
-    noise = few.latents.noise
+    noise = fitting.latents.noise
     far = np.sum(noise**2, axis=1) > FAR**2 * noise.shape[1]
-    none = np.zeros((noise.shape[1] + 1, few.ridge.size))
+    none = np.zeros((noise.shape[1] + 1, fitting.ridge.size))
     apart = replace(together, choice=none[-1], sd=np.ones(noise.shape[1]), narrow=none)
     parts = np.where(far, 1.0, 0.5), np.ones(far.size)
-    apart = few.maximised(apart, parts, narrow=far.astype(np.float64))
-    last = [] if few.latents.count == fitting.latents.count else [(fitting, LAST_ROUNDS)]
-    for among, rounds in ((few, ROUNDS), (few, ROUNDS_APART), *last):
-        apart = among.after(rounds, apart)
-        gain = among.left_out(apart) - among.left_out(together)
-        if gain < LEAST_GAIN * float(among.weight.sum()):
+    apart = fitting.maximised(apart, parts, narrow=far.astype(np.float64))
+    least = fitting.left_out(together) + LEAST_GAIN * float(fitting.weight.sum())
+    for rounds in (ROUNDS, ROUNDS_APART):  # many only where few promise something
+        apart = fitting.after(rounds, apart)
+        if fitting.left_out(apart) < least:
             return together
     return apart
 
@@ -238,6 +243,8 @@ class _NoiseFit:
 
     def of_few(self) -> "_NoiseFit":
         """Where rollouts are many, to some that stand for all."""
+        if self.weight.size <= FEW:
+            return self
         weight = at_most(self.weight, FEW)
         return _NoiseFit(self.latents.of(np.flatnonzero(weight)), weight[weight > 0.0], self.ridge)
 
