@@ -81,7 +81,7 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     """The latents of rollouts ``arrays`` as they are kept in files; ``None`` if there are none.
 
     Raises:
-        ValueError: They do not fit together, or are no finite numbers.
+        ValueError: They do not fit together, are no finite numbers, or no shares or spreads.
     """
     found = _without_prefix(arrays, LATENTS)
     if not found:
@@ -104,6 +104,10 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
         values = found.get(name, absent) if declared else np.ones(shape)
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
             raise ValueError(f"{LATENTS}{name} must be finite numbers of shape {shape}")
+        if name.endswith("_share") and np.any((values < 0.0) | (values > 1.0)):
+            raise ValueError(f"{LATENTS}{name} must be from 0 to 1")
+        if name.endswith("_sd") and np.any(values <= 0.0):
+            raise ValueError(f"{LATENTS}{name} must be above 0")
         kept[name] = values
     return Latents(**kept)
 

@@ -222,6 +222,13 @@ def test_weights_and_shares_count_latents(controller):
     first = run.result.least_robust[0]
     shown = rank(run, config.metric, among="carrying")
     assert row(run, shown, 0).share == pytest.approx(first.share, rel=1e-12)
-    damaged = {**table, "latents.noise_mean": mean[:, :-1]}
-    with pytest.raises(InputError, match=r"latents\.noise_mean must be finite numbers of shape"):
-        check_table(damaged, config, where="here")
+    for name, values, said in (
+        ("noise_mean", mean[:, :-1], "must be finite numbers of shape"),
+        ("noise_narrow_mean", around * np.nan, "must be finite numbers of shape"),
+        ("noise_share", share + 1.0, "must be from 0 to 1"),
+        ("noise_narrow_share", j - 1.0, "must be from 0 to 1"),
+        ("start_sd", 0.0 * sd, "must be above 0"),
+    ):
+        damaged = {**table, f"latents.{name}": values}
+        with pytest.raises(InputError, match=rf"latents\.{name} {said}"):
+            check_table(damaged, config, where="here")
