@@ -110,12 +110,6 @@ class Latents(Batch):
     noise_narrow_share: FloatArray | None = None
     start_choice: FloatArray | None = None
 
-    @property
-    def noise_narrow(self) -> tuple[FloatArray, ...]:
-        """Mean and share of narrow noise where they are its own, else nothing."""
-        own = self.noise_narrow_mean, self.noise_narrow_share
-        return tuple(values for values in own if values is not None)
-
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""

@@ -248,6 +248,13 @@ class LatentMeans:
         at_start = StartMoves(np.zeros(start), np.ones(start))
         return LatentMeans(at_start, np.zeros((noise, basis)), np.zeros(basis), np.ones(noise))
 
+    @property
+    def narrow_noise(self) -> FloatArray:
+        """``narrow``, or what says that it is half, around the same means."""
+        if self.narrow is not None:
+            return self.narrow
+        return np.vstack([self.noise, np.zeros_like(self.choice)])
+
     def at(self, basis: FloatArray) -> FloatArray:
         """Means ``[n, M]`` of moved noise at states with monomials ``[n, B]``."""
         return noise_means(basis, self.noise)

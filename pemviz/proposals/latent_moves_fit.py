@@ -200,11 +200,9 @@ def information(
         share = share * np.exp(latents.before(np.log1p(-share)))
     by_step = share * weight[latents.rollout]
     one = (latents.basis * by_step[:, None]).T @ latents.basis
-    precision = 0.5 + 0.5 / means.sd**2
-    if means.narrow is not None:  # as much as there is of it on average
-        narrow = expit(narrow_moves(latents.basis, means.narrow)[1])
-        average = float(by_step @ narrow) / max(float(by_step.sum()), np.finfo(float).tiny)
-        precision = 1.0 - average + average / means.sd**2
+    narrow = by_step * expit(narrow_moves(latents.basis, means.narrow_noise)[1])
+    average = float(narrow.sum()) / max(float(by_step.sum()), np.finfo(float).tiny)
+    precision = 1.0 - average + average / means.sd**2
     found = np.zeros((at_start + moved * ridge.size,) * 2)
     found[:at_start, :at_start] = np.eye(at_start) * (weight.sum() + ridge[0])
     found[at_start:, at_start:] = np.kron(np.diag(precision), one)
@@ -349,11 +347,10 @@ class _NoiseFit:
 
 def _narrow(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
     """How likely it is that noise, if it was moved, is of the part with the spreads, ``[L]``."""
-    mean = means.at(latents.basis)
-    if means.narrow is None:
-        wide, narrow = log_wide_and_narrow(latents.noise, mean, means.sd)
-        return expit(narrow - wide)
-    narrow_mean, logit = narrow_moves(latents.basis, means.narrow)
+    mean, (narrow_mean, logit) = (
+        means.at(latents.basis),
+        narrow_moves(latents.basis, means.narrow_noise),
+    )
     wide, narrow = log_wide_and_narrow(latents.noise, mean, means.sd, narrow_mean=narrow_mean)
     return expit(logit + narrow - wide)
 
@@ -367,8 +364,7 @@ def _noise_scores(means: LatentMeans, latents: LatentDecisions) -> FloatArray:
 def _residuals(means: LatentMeans, latents: LatentDecisions) -> tuple[FloatArray, FloatArray]:
     """Of each step's noise from its means if it was moved, as far as it was, ``[L, M]`` each."""
     part, narrow = _parts(means, latents)[0][:, None], _narrow(means, latents)[:, None]
-    mean = means.at(latents.basis)
-    own = mean if means.narrow is None else narrow_moves(latents.basis, means.narrow)[0]
+    mean, (own, _) = means.at(latents.basis), narrow_moves(latents.basis, means.narrow_noise)
     return part * (1.0 - narrow) * (latents.noise - mean), part * narrow * (latents.noise - own)
 
 

@@ -134,7 +134,6 @@ class DividedMoves(DividedProposal):
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
         sd: Spreads of narrow noise, ``[N, M]``, 1 for exploration proposals.
         narrow: Coefficients of narrow noise, as fitted means have them, ``[N, M + 1, B]``.
-        apart: Which have it apart from the other, ``[N]``.
         one: Which move one step's noise at most, ``[N]``.
         basis: Monomials of what fitted proposals look at and of the step's last outcome; ``None``
             if all rollouts are exploration proposals.
@@ -148,7 +147,6 @@ class DividedMoves(DividedProposal):
     choice: FloatArray
     sd: FloatArray
     narrow: FloatArray
-    apart: BoolArray
     one: BoolArray
     basis: PolynomialBasis | None
     steps: int
@@ -188,10 +186,9 @@ class DividedMoves(DividedProposal):
             even = latent_moves.even_logit(np.array(step), steps=self.steps)
             share = expit(np.where(self.one, logit + even, logit))
             share = np.where(self.explored, 1.0, share)
-            own, narrow_logit = latent_moves.narrow_moves(basis, self.narrow)
-            narrow_mean = np.where(self.apart[:, None], own, mean)
-            narrow_share = expit(np.where(self.apart, narrow_logit, 0.0))
-            narrow_share = np.where(self.explored, 0.0, narrow_share)
+            own, logit = latent_moves.narrow_moves(basis, self.narrow)
+            narrow_mean = narrow_mean + own
+            narrow_share = np.where(self.explored, 0.0, expit(logit))
         over = states.memory.get(VIOLATED, np.zeros(len(mean), dtype=np.bool_))
         over = over | self.targets.reached(states.memory)
         mean, narrow_mean = (np.where(over[:, None], 0.0, one) for one in (mean, narrow_mean))
@@ -207,7 +204,6 @@ class DividedMoves(DividedProposal):
             choice=self.choice[rows],
             sd=self.sd[rows],
             narrow=self.narrow[rows],
-            apart=self.apart[rows],
             one=self.one[rows],
         )
 
@@ -398,7 +394,6 @@ def _divided(
         start=counts.start, noise=counts.noise, basis=1 if basis is None else len(basis.exponents)
     )
     means = [fit.means or none if fit else none for fit in fits]
-    alike = np.zeros((counts.noise + 1, none.choice.size))
     return DividedMoves(
         exploration,
         fitted,
@@ -412,8 +407,7 @@ def _divided(
         noise=np.stack([each.noise for each in means]),
         choice=np.stack([each.choice for each in means]),
         sd=np.stack([each.sd for each in means]),
-        narrow=np.stack([alike if each.narrow is None else each.narrow for each in means]),
-        apart=np.array([each.narrow is not None for each in means]),
+        narrow=np.stack([each.narrow_noise for each in means]),
         one=np.array([each.once for each in means]),
         basis=basis,
         steps=steps,

@@ -140,8 +140,9 @@ def check_numbers(rollouts: RolloutBatch, *, simulator: str, turns: int = 1) -> 
         named.append(("proposal: logit", rollouts.proposal_logit))
     if rollouts.latents is not None:
         latents = rollouts.latents
-        moved = latents.start_mean, latents.noise_mean, latents.noise_share
-        if not all(np.isfinite(values).all() for values in (*moved, *latents.noise_narrow)):
+        narrow = latents.noise_narrow_mean, latents.noise_narrow_share
+        moved = latents.start_mean, latents.noise_mean, latents.noise_share, *narrow
+        if not all(values is None or np.isfinite(values).all() for values in moved):
             message = "proposal: the mean of a latent is no finite number"
             raise SimulationError(message)
     worst, earliest = None, rollouts.pem_logit.shape[1] + 1
