@@ -93,6 +93,8 @@ class Watcher:
         match event:
             case events.RunStarted():
                 self._start(event)
+            case events.RolloutsDone(again=True):
+                pass
             case events.RolloutsDone():
                 self.progress = replace(
                     self.progress,

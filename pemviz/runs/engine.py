@@ -40,7 +40,7 @@ from pemviz.sampling.method import (
     PoolsStages,
     SurrogateLearning,
 )
-from pemviz.sampling.rollouts.repeat import Repeats, repeat_some
+from pemviz.sampling.rollouts.repeat import Repeats, repeated, to_repeat
 from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.own_randomness import fixed_randomness
@@ -269,20 +269,19 @@ class _Runner:
 
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
-        state, stage, repeats = method.init(problem, repetition=repetition), 0, Repeats()
+        state, stage, some = method.init(problem, repetition=repetition), 0, list[ScoredRollouts]()
         lost = LostOfRepetition()
 
-        def progress(done: int, total: int) -> None:
-            self._notify(
-                events.RolloutsDone(repetition=repetition, stage=stage, done=done, total=total)
-            )
+        def progress(done: int, total: int, *, again: bool = False) -> None:
+            told = events.RolloutsDone(repetition, stage, done=done, total=total, again=again)
+            self._notify(told)
             self._pause()
 
         watched = replace(problem, progress=progress)
         while not method.is_done(state):
             self._at = repetition, stage
             state, result = method.step(watched, state)
-            repeats += repeat_some(problem, result.scored, twin=self._experiment.twin)
+            some.append(to_repeat(problem, result.scored))
             self._at = None
             if problem.lost != "end":
                 lost = lost.with_stage(result, problem)
@@ -297,6 +296,9 @@ class _Runner:
         self._interpreted = interpret_repetition(
             self._interpreted, experiment=self._experiment, state=state
         )
+        # of all stages at once: with many workers each would take as long as all do
+        watched = replace(problem, progress=partial(progress, again=True))
+        repeats = repeated(watched, some, twin=self._experiment.twin)
         self._repeats += repeats
         rules = self._experiment.config.rules
         pooled = method.pooled_log_weight(state) if isinstance(method, PoolsStages) else None

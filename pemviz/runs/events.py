@@ -42,12 +42,20 @@ class RolloutsDone:
 
     Splitting cuts and continues its particles as often as it takes: there ``done`` is the total
     times the share of the way from the first level to a violation.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: Zero-based; once rollouts are simulated again, how many stages there were.
+        done: Rollouts.
+        total: How many it will be.
+        again: Some of all stages' rollouts are simulated a second time.
     """
 
     repetition: int
     stage: int
     done: int
     total: int
+    again: bool = False
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from pemviz.sampling.registry import by_name
 
 QUARTERS = 4
 SILENT_S = 30.0
+REPEATED = "simulated again"
 
 
 class ProgressBar:
@@ -40,6 +41,9 @@ class ProgressBar:
                 self._planned = event.planned_rollouts
                 self._by_level = by_name(event.config.method).counting == "level"
                 self._task = self._progress.add_task("starting", total=self._planned, counted="")
+            case RolloutsDone(again=True):
+                text = f"{REPEATED}: {event.done} of {event.total}"
+                self._move(self._done_before, description=text)
             case RolloutsDone():
                 self._move(self._done_before + event.done)
             case StageDone():
@@ -83,7 +87,8 @@ class ProgressLines:
                 self._repetitions, self._stages = event.config.repetitions, event.stages
             case RolloutsDone() if event.done < event.total and self._is_silent():
                 of = f", repetition {event.repetition + 1}" if self._repetitions > 1 else ""
-                self._print(f"stage {event.stage}{of}: {event.done} of {event.total} rollouts")
+                at = REPEATED if event.again else f"stage {event.stage}"
+                self._print(f"{at}{of}: {event.done} of {event.total} rollouts")
             case StageDone() if self._repetitions == 1:
                 if self._is_due(event.stage.stage, self._stages):
                     self._print(stage_line(summarise_stage(event.stage), repetitions=1))

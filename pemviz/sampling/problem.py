@@ -44,6 +44,8 @@ LOG = logging.getLogger(__name__)
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
+LARGE_BATCH_ROLLOUTS, SHARE_OF_LARGE = 1_000, 0.01
+"""Who simulates so many at a time does so few of them in next to no time."""
 OF_LOST = 1e-6
 """Robustness of a lost rollout is at least so far from 0, on the side that it counts on."""
 
@@ -263,6 +265,14 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
     except StalledError as error:
         what = f"simulator {name}: a step took longer than {limit}"
         raise SimulationError(what, why="a run may be resumed with a larger one") from error
+
+
+def side_by_side(problem: Problem) -> int:
+    """Rollouts that take next to no longer than one: a few in numpy, or as many as workers."""
+    if isinstance(problem.run_batches, PooledRunner):
+        return problem.run_batches.workers
+    size = problem.batch_rollouts
+    return round(SHARE_OF_LARGE * size) if size >= LARGE_BATCH_ROLLOUTS else 1
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

@@ -9,6 +9,7 @@ from scipy.special import expit
 from benchmarks.trust_cases import trust_cases
 from benchmarks.trust_systems import WINDOW, MissesInSets, ScatteredMisses, windows
 from pemviz.config import ExperimentConfig
+from pemviz.faults import SimulationError
 from pemviz.latents import LatentCounts
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
@@ -387,6 +388,64 @@ def test_moves_take_a_fifth_more_rollouts_at_most_and_count():
     assert state.pool.sampled < sum(simulated) <= (1.0 + SHARE) * state.pool.sampled
     assert experiment.method.estimate(state).rollouts_simulated == sum(simulated)
     assert planned <= state.pool.sampled
+
+
+def moved_by(problem, *, at_a_time, run_batches=None):
+    """Five violations moved, how many rollouts that took, and the sizes of their batches."""
+    problem, simulated = counting(replace(problem, batch_rollouts=at_a_time))
+    if run_batches is not None:
+        problem = replace(problem, run_batches=run_batches(problem.run_batches))
+    scored = first_stage(problem)
+    met = np.flatnonzero(scored.violated)[:5]
+    generator, own = np.random.default_rng(3), len(simulated)
+    met = violating(problem, scored.rollouts.take(met), generator)
+    moved, took = freed(problem, met, seed=5)
+    return moved, took, simulated[own:]
+
+
+def same_rollouts(one, other):
+    for name in ("outcomes", "start", "noise"):
+        np.testing.assert_array_equal(getattr(one.numbers, name), getattr(other.numbers, name))
+    np.testing.assert_array_equal(one.rollouts.detected, other.rollouts.detected)
+    np.testing.assert_array_equal(one.needed, other.needed)
+    np.testing.assert_array_equal(one.done, other.done)
+
+
+AHEAD = {
+    "misses": lambda: experiment_of(windows(100), method="mixture").problem,
+    "start": lambda: own_problem(Drift(miss_m=0.5), ConstantPem(0.9), Drift().spec(2.0)),
+}
+
+
+@pytest.mark.parametrize("system", sorted(AHEAD))
+def test_what_may_be_tried_next_is_simulated_beside_and_changes_nothing(system):
+    problem = stages.watching(AHEAD[system]())
+    plain, took, alone = moved_by(problem, at_a_time=500)
+    ahead, as_many, beside = moved_by(problem, at_a_time=4096)
+    same_rollouts(plain, ahead)
+    assert took == as_many == sum(alone) < sum(beside)
+    assert len(beside) < 0.6 * len(alone)
+
+
+def test_what_is_simulated_ahead_ends_no_run():
+    problem = stages.watching(AHEAD["misses"]())
+    plain, took, _ = moved_by(problem, at_a_time=500)
+    broken = []
+
+    def breaking(run_batches):
+        def run(simulator, pem, tasks):
+            for task in tasks:
+                if 5 < len(task.uniforms) < 60:  # of a stage, or of what is asked for
+                    broken.append(task)
+                    raise SimulationError("a rollout that nobody asked for")
+                yield from run_batches(simulator, pem, [task])
+
+        return run
+
+    ahead, as_many, _ = moved_by(problem, at_a_time=4096, run_batches=breaking)
+    same_rollouts(plain, ahead)
+    assert took == as_many
+    assert len(broken) == 2  # in the stage that came first, and here
 
 
 def test_an_interrupted_run_simulates_what_was_moved_once():

@@ -13,7 +13,7 @@ from pemviz.proposals.fixed import ConstantProposal
 from pemviz.reports.gate import EXIT_GATE_UNDECIDED, decide_run
 from pemviz.runs.uncertainty import run_interval_caveats, run_remedy
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.repeat import MOST, SHARE, repeat_some
+from pemviz.sampling.rollouts.repeat import MOST, SHARE, repeated, to_repeat
 from pemviz.types import StateBatch
 from tests.latent_toys import Drift
 from tests.lattice_walk import ToyPem, ToySimulator
@@ -80,8 +80,9 @@ def test_what_is_decided_by_outcomes_and_latents_is_the_same(simulator, settings
         count=300,
         seeds=np.random.SeedSequence(1),
     )
-    found = repeat_some(problem, scored)
-    assert (found.count, found.differing, found.example) == (6, 0, "")
+    some = to_repeat(problem, scored)
+    found = repeated(problem, [some, some.take(slice(0, 0)), some])
+    assert (found.count, found.differing, found.example) == (12, 0, "")
 
 
 def test_a_share_of_a_stage_and_never_more_than_so_many():
@@ -93,7 +94,8 @@ def test_a_share_of_a_stage_and_never_more_than_so_many():
             count=count,
             seeds=np.random.SeedSequence(1),
         )
-        assert 1 <= repeat_some(problem, scored).count <= most
+        some = to_repeat(problem, scored)
+        assert 1 <= repeated(problem, [some]).count <= most
     assert SHARE * 10_000 > MOST
 
 

@@ -8,7 +8,7 @@ memories of misses and what the data allow are told.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.faults import of_no_rollouts
 from pemviz.latents import Latents, StandardNormals
-from pemviz.sampling.problem import Problem, in_time, score
+from pemviz.sampling.problem import Problem, in_time, score, side_by_side
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay
@@ -28,6 +28,7 @@ SHARE = 0.02
 """Of a stage's rollouts."""
 MOST = 32
 """Of a stage: what happens in one of ten rollouts is then found in 97 % of stages."""
+LEAST_AT_ONCE = 5
 LOGIT_ROUNDING = 1e-3
 """What a logit may differ by: networks in single precision round as their batch is laid out."""
 
@@ -60,28 +61,53 @@ class Repeats:
         )
 
 
-def repeat_some(
-    problem: Problem, scored: ScoredRollouts, *, twin: Simulator | None = None
-) -> Repeats:
-    """Simulate a share of a stage's rollouts again, with the same outcomes and latents.
+def to_repeat(problem: Problem, scored: ScoredRollouts) -> ScoredRollouts:
+    """A share of a stage's rollouts, which may be none.
 
     Half of them are the violations that weigh most, as they carry the answer; the others lie evenly
-    over the stage. On a ``twin`` whose start is the simulator's, they are simulated too. Those that
-    cannot be simulated to their end are none of them.
+    over the stage. Those that cannot be simulated to their end are none of them.
+    """
+    scored = scored.take(~lost_rows(scored.rollouts)) if problem.lost != "end" else scored
+    return scored.take(_chosen(scored))
+
+
+def repeated(
+    problem: Problem, stages: Sequence[ScoredRollouts], *, twin: Simulator | None = None
+) -> Repeats:
+    """Simulate rollouts of stages again, with the same outcomes and latents, all side by side.
+
+    On a ``twin`` whose start is the simulator's, they are simulated too.
 
     Raises:
         SimulationError: What is simulated raises something, or takes too long.
     """
-    scored = scored.take(~lost_rows(scored.rollouts)) if problem.lost != "end" else scored
-    if scored.rollouts.count == 0:
+    some = [stage for stage in stages if stage.rollouts.count]
+    if not some:
         return Repeats()
-    some = scored.take(_chosen(scored))
+    detected = np.concatenate([stage.rollouts.detected for stage in some])
+    latents = [stage.rollouts.latents for stage in some]
+    task = task_of(detected, [each for each in latents if each is not None])
+    size = max(LEAST_AT_ONCE, side_by_side(problem))
+    tasks = [task.take(slice(first, first + size)) for first in range(0, len(detected), size)]
+    simulated = problem.run_batches(problem.simulator, problem.pem, iter(tasks))
+    parts, done = list[RolloutBatch](), 0
+    for _ in tasks:
+        with of_no_rollouts():
+            parts.append(in_time(problem, lambda: next(simulated)))
+        done += parts[-1].count
+        problem.progress(done, len(detected))
+    again, found, done = RolloutBatch.concatenate(parts), Repeats(), 0
+    for stage in some:
+        own = again.take(slice(done, done + stage.rollouts.count))
+        found += _of_stage(problem, stage, own, twin)
+        done += own.count
+    return found
+
+
+def _of_stage(
+    problem: Problem, some: ScoredRollouts, again: RolloutBatch, twin: Simulator | None
+) -> Repeats:
     once = some.rollouts
-    task = task_of(once.detected, once.latents)
-    with of_no_rollouts():
-        again = in_time(
-            problem, lambda: next(problem.run_batches(problem.simulator, problem.pem, iter([task])))
-        )
     found = _compared(problem, once, again)
     if twin is None or start_cells(twin) != start_cells(problem.simulator):
         return found
@@ -94,9 +120,9 @@ def repeat_some(
     return replace(found, on_twin=once.count, twin_differing=differing)
 
 
-def task_of(detected: BoolArray, latents: Latents | None) -> BatchTask:
-    """Rollouts with outcomes ``[N, T-1]`` that are given, and latents."""
-    normals = None if latents is None else _as_normals(latents)
+def task_of(detected: BoolArray, latents: Sequence[Latents]) -> BatchTask:
+    """Rollouts with outcomes ``[N, T-1]`` that are given, and latents, if they have any."""
+    normals = _as_normals(latents) if latents else None
     return BatchTask(_GivenOutcomes(detected), np.full(detected.shape, 0.5), normals)
 
 
@@ -116,14 +142,14 @@ class _GivenOutcomes:
         return _GivenOutcomes(self.detected[rows])
 
 
-def _as_normals(latents: Latents) -> StandardNormals:
+def _as_normals(latents: Sequence[Latents]) -> StandardNormals:
     """What no proposal moves: the latents themselves."""
-    count, steps, _ = latents.noise.shape
+    noise = np.concatenate([each.noise for each in latents])
     return StandardNormals(
-        start=np.asarray(latents.start),
-        noise=np.asarray(latents.noise),
-        choice=np.zeros((count, steps)),
-        spread_choice=np.zeros(count),
+        start=np.concatenate([each.start for each in latents]),
+        noise=noise,
+        choice=np.zeros(noise.shape[:2]),
+        spread_choice=np.zeros(len(noise)),
     )
 
 

@@ -4,25 +4,33 @@ Broad proposals meet a failure mode with many misses more than it takes, or with
 that what is met says little of what is likely in it, and hides how likely it is. Moves that leave
 the model as it is, accepted where the rollout still violates, lead from there to what the model
 itself does in the mode (a rejuvenation, as in resample-move: Gilks, Berzuini 2001). Here they are
-chosen to lead there in few steps. A window of steps gets new random numbers; where the violation
-needs it, its halves are tried instead, longest windows first (as failing input is bisected: Zeller,
-Hildebrandt 2002); last all that is not needed, at once. What is left are the steps that the
-violation needs, and their misses say which failure mode it is in. Where a start or a single step's
-noise is needed, its numbers are turned towards new ones by half of the angle, and again as long as
-that is accepted.
+chosen to lead there in few steps (:mod:`pemviz.sampling.subset.bisection`). What is left are the
+steps that the violation needs, and their misses say which failure mode it is in.
 """
 
+import copy
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import expit, ndtri
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
-from pemviz.faults import of_no_rollouts
-from pemviz.sampling.problem import Problem, judged
+from pemviz.faults import SimulationError, of_no_rollouts
+from pemviz.sampling.problem import Problem, judged, side_by_side
 from pemviz.sampling.rollouts.losing import lost_rows
+from pemviz.sampling.subset.bisection import (
+    ANEW,
+    HALVES_SWAPPED,
+    MOVES_OF_LATENTS,
+    THE_REST,
+    Course,
+    Move,
+    Tries,
+    stretches,
+    turned,
+)
 from pemviz.sampling.subset.moves import RandomNumbers
 from pemviz.sampling.subset.run import shape_of, simulated_from
 from pemviz.types import RolloutBatch
@@ -30,56 +38,8 @@ from pemviz.types import RolloutBatch
 NEARLY_ALL, MOST_OF_THEM, HALF = 0.8, 0.7, 0.5
 """Of the misses that one rollout needs: for another to be where it has come from, to be in its
 mode, and to be where what both need is known."""
-MOVES_A_HALVING, MOVES_OF_LATENTS = 2, 6
-"""Of each rollout: times how often its steps can be halved; latents are turned so often at most."""
-ANEW, LEAST_ANGLE = 0.5 * math.pi, math.pi / 32.0
-
-
-@dataclass(frozen=True)
-class Move:
-    """Turns the numbers of some steps by an angle towards new ones.
-
-    Attributes:
-        first: First step; -1: where the rollout starts.
-        end: The step after the last.
-        angle: A right one: they are new.
-        other: The other half of a window that the violation needs.
-    """
-
-    first: int
-    end: int
-    angle: float = ANEW
-    other: "Move | None" = None
-
-    @property
-    def is_single(self) -> bool:
-        """Whether it is of one step, or the start."""
-        return self.end - self.first == 1 and self.first >= -1
-
-    @property
-    def is_turn(self) -> bool:
-        """Whether something of the old numbers stays."""
-        return self.angle != ANEW
-
-    def next(self, *, accepted: bool, turns: bool, swaps: bool) -> "Sequence[Move]":
-        """What is tried after it; single steps are turned or not, halves may swap places."""
-        if accepted and self.other is not None:  # the violation needs the other half
-            return self.other.parts(turns=turns, swaps=swaps)
-        if accepted:
-            return (self,) if self.is_turn else ()
-        rest = () if self.other is None else (self.other,)
-        return (*self.parts(turns=turns, swaps=swaps), *rest)
-
-    def parts(self, *, turns: bool, swaps: bool) -> "Sequence[Move]":
-        """What is tried instead."""
-        if self.end - self.first > 1:
-            middle = (self.first + self.end) // 2
-            halves = Move(self.first, middle), Move(middle, self.end)
-            one, other = halves[::-1] if swaps else halves
-            return (replace(one, other=other),)
-        if (turns or self.first < 0) and self.angle > LEAST_ANGLE:
-            return (Move(self.first, self.end, 0.5 * self.angle),)
-        return ()
+MOVES_A_HALVING = 2
+"""Of each rollout: times how often its steps can be halved."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +78,6 @@ class Moved(Violating):
         """Misses among these steps' outcomes, ``[N, T-1]``."""
         missed = ~self.rollouts.detected
         return missed & np.repeat(self.needed, missed.shape[1] // self.needed.shape[1], axis=1)
-
-
-THE_REST = Move(-2, -1)
-"""All steps that are not needed, at once: of these some were missed anew, and are needed."""
-RESTS = 2
 
 
 def moves_of_each(problem: Problem) -> int:
@@ -168,57 +123,95 @@ def rejuvenated(
     Raises:
         SimulationError: Something raises, is no finite number, or a batch takes too long.
     """
-    shape, simulated = shape_of(problem), 0
-    first = [Move(-1, 0)] * (shape.start > shape.seeds) + [Move(0, shape.steps)]
+    shape, simulated, ahead = shape_of(problem), 0, _SimulatedAhead(problem)
     kept = rarest_violated(problem, met.rollouts)
     if needed is None:
-        waiting = [list(first) for _ in range(met.count)]
+        first = (Move(-1, 0),) * (shape.start > shape.seeds) + (Move(0, shape.steps),)
         # of two modes that one rollout is in, either may stay: windows end at other steps in each
         begins = generator.integers(shape.steps, size=met.count)
+        courses = [Course(first, begin) for begin in begins.tolist()]
         needed = np.ones((met.count, shape.steps), dtype=np.bool_)
     else:
-        waiting, begins = [_stretches(row) for row in needed], np.zeros(met.count, dtype=np.int64)
-        needed = needed.copy()
-    rests, turned = np.zeros((2, met.count), dtype=np.int64)
+        courses, needed = [Course(stretches(row)) for row in needed], needed.copy()
     while simulated < most:
-        rows = np.array([row for row, some in enumerate(waiting) if some], dtype=np.int64)
+        rows = np.array([row for row, some in enumerate(courses) if some.waiting], dtype=np.int64)
         rows = rows[: most - simulated]
         if not rows.size:
             break
-        moves, before = [waiting[row].pop(0) for row in rows.tolist()], met.take(rows)
-        angle = _angles(moves, begins[rows], needed[rows])
-        tried = _tried(problem, before, angle, generator)
+        before, place = met.take(rows), np.arange(rows.size)
+        tries = Tries([courses[row] for row in rows.tolist()], before.numbers, needed[rows], place)
+        turned = tries.turned(shape, shape.normals(generator, rows.size))
+        tried = ahead.tried(tries, turned, generator)
         simulated += rows.size
-        accepted = _violated(problem, tried.rollouts)[np.arange(rows.size), kept[rows]]
+        accepted = _violated(problem, tried.rollouts)[place, kept[rows]]
         accepted &= ~lost_rows(tried.rollouts)
         changed = tried.rollouts.detected != before.rollouts.detected
         # a single step that is missed again tells nothing
-        single = np.array([move.is_single and not move.is_turn for move in moves])
-        accepted &= ~single | ~_missed_again(angle, before, tried)
-        needed[rows[accepted]] &= angle[accepted, 1:] != ANEW
+        single = np.array([each.move.is_single and not each.move.is_turn for each in tries.courses])
+        accepted &= ~single | ~_missed_again(tries.angle, before, tried)
+        needed[rows[accepted]] &= tries.angle[accepted, 1:] != ANEW
         place = np.arange(met.count)
         place[rows[accepted]] = met.count + np.flatnonzero(accepted)
         met = Violating.concatenate([met, tried]).take(place)
-        turns, swaps = shape.noise > 0, generator.random(rows.size) < 0.5
-        for number, (row, move) in enumerate(zip(rows.tolist(), moves, strict=True)):
+        swaps = generator.random(rows.size) < HALVES_SWAPPED
+        for number, (row, course) in enumerate(zip(rows.tolist(), tries.courses, strict=True)):
             passed = bool(accepted[number])
-            if move is THE_REST:
-                rests[row] += RESTS if passed else 1
+            if course.move is THE_REST:
                 missing = changed[number] & ~before.rollouts.detected[number]
                 wanting = missing.reshape(shape.steps, -1).any(axis=1) & ~accepted[number]
                 needed[row] |= wanting
-                waiting[row], begins[row] = _stretches(wanting), 0
+                courses[row] = course.after_the_rest(accepted=passed, wanting=wanting)
                 continue
-            waiting[row] += move.next(accepted=passed, turns=turns, swaps=bool(swaps[number]))
-            turned[row] += move.is_turn
-            if not waiting[row] and rests[row] < RESTS:
-                waiting[row] = [THE_REST]
-            # what is needed first, then by how much
-            anew = [each for each in waiting[row] if not each.is_turn]
-            turning = [each for each in waiting[row] if each.is_turn]
-            waiting[row] = anew + turning if anew or turned[row] < MOVES_OF_LATENTS else []
-    done = np.array([all(move.is_turn for move in some) for some in waiting])
+            swapped = bool(swaps[number])
+            courses[row] = course.after(accepted=passed, turns=shape.noise > 0, swaps=swapped)
+    done = np.array([all(move.is_turn for move in some.waiting) for some in courses])
     return Moved(met.numbers, met.rollouts, needed, done), simulated
+
+
+@dataclass
+class _SimulatedAhead:
+    """What comes of moves, with those that may be tried next where they cost no time.
+
+    They come one after the other, and would leave most of many workers idle. What is never asked
+    for changes nothing, is no part of any count, and ends no run.
+    """
+
+    problem: Problem
+    rollouts: RolloutBatch | None = field(default=None, init=False)
+    place: Mapping[bytes, int] = field(default_factory=dict[bytes, int], init=False)
+
+    def __post_init__(self) -> None:
+        self._most = side_by_side(self.problem)
+
+    def tried(
+        self, tries: Tries, turned: RandomNumbers, generator: np.random.Generator
+    ) -> Violating:
+        """What comes of moves' numbers; ``generator`` gave these, and stays as it is.
+
+        Raises:
+            SimulationError: Something raises, is no finite number, or a batch takes too long.
+        """
+        keys = _keys(turned)
+        if self.rollouts is None or any(key not in self.place for key in keys):
+            shape, generator = shape_of(self.problem), copy.deepcopy(generator)
+            likely = tries.likely(shape, turned, generator, most=self._most - turned.count)
+            numbers = RandomNumbers.concatenate([turned, *likely])
+            try:
+                self.rollouts = _simulated(self.problem, numbers)
+            except SimulationError:
+                if not likely:
+                    raise
+                numbers, self._most = turned, 0
+                self.rollouts = _simulated(self.problem, numbers)
+            self.place = {key: place for place, key in enumerate(_keys(numbers))}
+        place = np.array([self.place[key] for key in keys])
+        return Violating(turned, self.rollouts.take(place))
+
+
+def _keys(numbers: RandomNumbers) -> list[bytes]:
+    """What tells rollouts apart."""
+    rows = np.hstack([values.reshape(numbers.count, -1) for values in numbers.each])
+    return [row.tobytes() for row in rows]
 
 
 def without_known(
@@ -246,7 +239,9 @@ def without_known(
     if not rows.size:
         return met, 0
     angle = np.where(np.pad(renewed[rows], ((0, 0), (1, 0))), ANEW, 0.0)
-    tried = _tried(problem, met.take(rows), angle, generator)
+    shape, some = shape_of(problem), met.numbers.take(rows)
+    numbers = turned(shape, some, angle=angle, fresh=shape.normals(generator, some.count))
+    tried = Violating(numbers, _simulated(problem, numbers))
     place = np.arange(met.count)
     place[rows] = met.count + np.arange(rows.size)
     met = Violating.concatenate([met, tried]).take(place)
@@ -280,12 +275,6 @@ def modes_of(moved: Moved) -> list[IntArray]:
     return [rows.astype(np.int64) for rows in found]
 
 
-def _stretches(steps: BoolArray) -> list[Move]:
-    """A move for each stretch of steps ``[T']`` in a row."""
-    edges = np.flatnonzero(np.diff(np.pad(steps, 1).astype(np.int8)))
-    return [Move(first, end) for first, end in edges.reshape(-1, 2).tolist()]
-
-
 def _violated(problem: Problem, rollouts: RolloutBatch) -> BoolArray:
     """Whether rollouts violate each conjunct of the specification, or of each rule, ``[N, K]``.
 
@@ -314,36 +303,7 @@ def _missed_again(angle: FloatArray, before: Violating, tried: Violating) -> Boo
     return (by_step & (angle[:, 1:] != 0.0)).any(axis=1)
 
 
-def _angles(moves: Sequence[Move], begins: IntArray, needed: BoolArray) -> FloatArray:
-    """By which moves turn the numbers of the start and of each step, ``[N, 1 + T']``.
-
-    Windows of each rollout begin at a step of its own, ``[N]``.
-    """
-    first, end, turned = np.array([(each.first, each.end, each.angle) for each in moves]).T
-    step = (np.arange(needed.shape[1]) - begins[:, None]) % needed.shape[1]
-    step = np.hstack([np.full((len(moves), 1), -1), step])
-    within = (step >= first[:, None]) & (step < end[:, None])
-    rest = np.array([move is THE_REST for move in moves])
-    within[rest, 1:] = ~needed[rest]
-    return np.where(within, turned[:, None], 0.0)
-
-
-def _tried(
-    problem: Problem, before: Violating, angle: FloatArray, generator: np.random.Generator
-) -> Violating:
-    """The numbers turned by angles ``[N, 1 + T']`` towards new ones, and what comes of them."""
-    shape, numbers = shape_of(problem), before.numbers
-    fresh = shape.normals(generator, numbers.count)
-    by_step, of_start = angle[:, 1:], np.repeat(angle[:, :1], shape.start, axis=1)
-    of_start[:, shape.start - shape.seeds :] = 0.0  # no proposal moves seeds
-    by_outcome = np.repeat(by_step, shape.outcomes // shape.steps, axis=1)
-    angles = RandomNumbers(by_outcome, of_start, by_step[:, :, None])
-    turned_numbers = [
-        # cos of a right angle is not 0 in float64: what is new has nothing of the old
-        np.where(by == ANEW, new, np.cos(by) * known + np.sin(by) * new)
-        for known, new, by in zip(numbers.each, fresh.each, angles.each, strict=True)
-    ]
-    turned = RandomNumbers(*turned_numbers)
+def _simulated(problem: Problem, numbers: RandomNumbers) -> RolloutBatch:
     with of_no_rollouts():  # of a stage
-        rollouts, _ = simulated_from(problem, turned)
-    return Violating(turned, rollouts)
+        rollouts, _ = simulated_from(problem, numbers)
+    return rollouts
