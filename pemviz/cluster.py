@@ -2,8 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Generator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from importlib.util import find_spec
 from types import TracebackType
 from typing import Any, Self
@@ -84,18 +83,6 @@ class Cluster:
     def executor(self) -> Executor:
         """The connected cluster as an executor of any functions."""
         return self.client.get_executor(pure=False)
-
-
-@contextlib.contextmanager
-def cluster_pool(address: str) -> Generator[tuple[Callable[..., Future[Any]], int], None, None]:
-    """Yield what takes a function and its arguments to a cluster's worker, and their number.
-
-    Raises:
-        ConfigError: Dask is not installed, there is no scheduler at the address, or no worker
-            that can be used.
-    """
-    with Cluster(address) as cluster:
-        yield cluster.executor().submit, cluster.count
 
 
 def worker_was_killed(error: BaseException) -> bool:

@@ -421,6 +421,15 @@ class RunResult(ShownInNotebooks):
     timings_s: Mapping[str, AtLeastZero] = field(default_factory=dict[str, float])
     message: str | None = None
 
+    def __repr__(self) -> str:
+        """Which run it is and what it says, in a line; all fields would be pages."""
+        told: dict[str, object] = {"run_id": self.run_id, "status": self.status}
+        if self.estimate is not None:
+            named = "method", "probability", "ci_low", "ci_high", "rollouts_simulated"
+            told |= {name: getattr(self.estimate, name) for name in named}
+        words = [f"{name}={value!r}" for name, value in told.items()]
+        return f"{type(self).__name__}({', '.join(words)}, ...)"
+
     @property
     def is_of_detector_itself(self) -> bool:
         """Whether outcomes are what the detector itself said, without an error model."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from pemviz.cluster import cluster_pool
+from pemviz.cluster import Cluster
 from pemviz.errors import ConfigError
 from pemviz.processes import ProcessPool, can_be_sent
 from pemviz.runs.experiment import Experiment
@@ -82,8 +82,15 @@ def with_workers(
     check_workers(experiment, workers=workers, scheduler=scheduler)
     limit_s, loses = experiment.problem.step_time_limit_s, experiment.config.lost != "end"
     if scheduler is not None:
-        with cluster_pool(scheduler) as (submit, count):
-            runner = PooledRunner(submit, count, limit_s=limit_s, pause=pause, loses=loses)
+        with Cluster(scheduler) as cluster:
+            runner = PooledRunner(
+                cluster.executor().submit,
+                cluster.count,
+                recount=lambda: cluster.count,
+                limit_s=limit_s,
+                pause=pause,
+                loses=loses,
+            )
             yield _simulated_by(experiment, runner)
     elif workers is not None:  # one too outlives what this process would not
         with ProcessPool(workers) as pool:

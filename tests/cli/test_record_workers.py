@@ -1,4 +1,5 @@
 import contextlib
+import gc
 import io
 import json
 
@@ -45,6 +46,28 @@ def test_a_cluster_gives_the_bytes_of_this_process(serial, tmp_path, capsys):
         n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
     ) as cluster:
         found = record(tmp_path, capsys, "--scheduler", cluster.scheduler_address)
+    assert found == serial
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of its jobs
+def test_jobs_of_a_batch_system_give_the_bytes_of_this_process(serial, tmp_path, capsys):
+    """Jobs that dask-jobqueue writes; the shell runs them here, in place of SLURM."""
+    local = pytest.importorskip("dask_jobqueue.local")
+    with local.LocalCluster(
+        cores=1,
+        processes=1,
+        memory="1GB",
+        local_directory=str(tmp_path / "work"),
+        log_directory=str(tmp_path / "logs"),
+        scheduler_options={"dashboard_address": ":0", "host": "127.0.0.1"},
+    ) as cluster:
+        cluster.scale(jobs=2)
+        cluster.wait_for_workers(1)
+        out = tmp_path / "out"
+        found = record(out, capsys, "--scheduler", cluster.scheduler_address)
+    del cluster
+    gc.collect()  # while what it leaves open is no failure
     assert found == serial
 
 

@@ -44,6 +44,15 @@ def test_a_result_shows_answer_interval_uncertainty_and_what_next():
     assert tags(page) <= HARMLESS
 
 
+def test_at_a_prompt_a_result_is_a_line():
+    shown = repr(result(plan=PLAN))
+    assert shown.startswith("RunResult(run_id=")
+    assert f"probability={result().estimate.probability!r}" in shown
+    assert "\n" not in shown
+    assert len(shown) < 250
+    assert "probability" not in repr(replace(result(), estimate=None))
+
+
 def test_without_an_estimate_the_reason_is_shown():
     page = replace(result(), estimate=None, status="failed", message="the <b>disk</b> is full")
     shown = page._repr_html_()

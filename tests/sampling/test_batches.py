@@ -24,7 +24,7 @@ from pemviz.pem import as_pem, load_pem
 from pemviz.processes import ProcessPool
 from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.runs.experiment import build_experiment
-from pemviz.sampling.problem import sample
+from pemviz.sampling.problem import sample, side_by_side
 from pemviz.sampling.rollouts import pooled as pooled_rollouts
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.rollouts.pooled import PooledRunner
@@ -210,6 +210,23 @@ def test_what_a_worker_imports_is_no_rollout_s_time(with_one_alike):
         assert_same_scores(found, serial)
         assert not lost_rows(found.rollouts).any()
         renew()
+
+
+def test_workers_that_come_later_get_work_too(toy_problem):
+    there, handed_in = iter([1, 8]), []
+
+    def elsewhere(function, simulator, pem, task):
+        handed_in.append(len(task.uniforms))
+        return at_once(function, simulator, pem, task)
+
+    runner = PooledRunner(elsewhere, 1, recount=lambda: next(there))
+    problem = replace(toy_problem, run_batches=runner)
+    expected = sampled(toy_problem, count=40)
+    assert_same_scores(sampled(problem, count=40), expected)
+    alone = len(handed_in)
+    assert_same_scores(sampled(problem, count=40), expected)
+    assert len(handed_in) - alone == 8
+    assert side_by_side(problem) == 8
 
 
 def test_slow_rollouts_are_handed_in_one_by_one(toy_problem):

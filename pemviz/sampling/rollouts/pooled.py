@@ -86,6 +86,7 @@ class PooledRunner:
         submit: Takes a function and its arguments, all of which can be pickled, to a worker,
             as :meth:`concurrent.futures.Executor.submit` does.
         workers: How many there are.
+        recount: Tells how many there are now, where some may come or go; ``None``: none do.
         renew: Ends all workers and starts others, where one is lost, and tells how that ended, as
             far as it is known; ``None``: what submits sees to it itself.
         retire: Starts others for what comes next, where workers grow; ``None``: they may.
@@ -99,6 +100,7 @@ class PooledRunner:
 
     submit: Callable[..., Future[Any]]
     workers: int
+    recount: Callable[[], int] | None = None
     renew: Callable[[], str] | None = None
     retire: Callable[[], None] | None = None
     limit_s: float | None = None
@@ -122,6 +124,8 @@ class PooledRunner:
                 at it.
         """
         ahead: deque[Sequence[_Piece]] = deque()
+        if self.recount is not None:
+            self.workers = self.recount()
         try:
             for task in tasks:
                 ahead.append(self._pieces(simulator, pem, task))
