@@ -22,7 +22,7 @@ from pemviz.runs.progress import progress_observer
 from pemviz.runs.reading import CONFIG, result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.run_folder import carry_out, create_run_folder, is_short, may_go_on
+from pemviz.runs.run_folder import FORMER, carry_out, create_run_folder, is_short, may_go_on
 from pemviz.runs.workers import check_workers, no_use, own_process
 from pemviz.sampling.registry import by_name
 
@@ -66,7 +66,7 @@ def record(arguments: RecordArguments) -> int:
     else:
         print_summary(result, folder, verbose=arguments.verbose)
     if result.status != "done":
-        print(f"pemviz: stopped; what was finished is in {folder}", file=sys.stderr)
+        print(f"pemviz: stopped; what was finished is in {_place(folder)}", file=sys.stderr)
         return EXIT_FAILED
     if is_short(result):
         more = _resuming(arguments, folder, *_more(result))
@@ -160,9 +160,14 @@ def _how_to_go_on(arguments: RecordArguments, folder: Path) -> str:
     return _left(arguments, folder) if (folder / CONFIG).exists() else f"nothing is in {folder}"
 
 
+def _place(folder: Path) -> str:
+    """Where a run is, and its answer under the limits that it had before, if it had one."""
+    return f"{folder}, its answer before in {FORMER}" if (folder / FORMER).exists() else str(folder)
+
+
 def _left(arguments: RecordArguments, folder: Path) -> str:
     return (
-        f"what was finished is in {folder}; once the cause is removed, go on with: "
+        f"what was finished is in {_place(folder)}; once the cause is removed, go on with: "
         f"{_resuming(arguments, folder)}"
     )
 

@@ -34,7 +34,7 @@ from pemviz.types import LOST, Signal, StageResult
 
 LOG = logging.getLogger(__name__)
 LOCK, RECORDING, PROPOSALS = ".lock", "run.rrd", "proposals.safetensors"
-KEPT_PARTS = ".stages"
+KEPT_PARTS, FORMER = ".stages", "former.json"
 """Where the stages of a run lie that is done, and less precise than it was to be."""
 ALWAYS_WRITTEN = 100
 """Stages after which ``result.json``, which lists each, is written whatever it takes."""
@@ -175,6 +175,7 @@ class RunStore:
             return
         self._join()
         write_result(self.folder, result, files=(CONFIG, ROLLOUTS_FILE, PROPOSALS, *self._others))
+        (self.folder / FORMER).unlink(missing_ok=True)
         parts = self.folder / PART_FOLDER
         if parts.exists() and (self._keeps_stages or is_short(result)):
             parts.rename(self.folder / KEPT_PARTS)
@@ -346,6 +347,8 @@ def _let_go_on(folder: Path, wanted: ExperimentConfig) -> bool:
     if config == begun:
         return False
     result = result_left(folder)
+    if result is not None and result.status == "done":
+        (folder / RESULT_FILE).replace(folder / FORMER)
     for name in (RESULT_FILE, ROLLOUTS_FILE):
         (folder / name).unlink(missing_ok=True)
     write_text(path, config_text(config))

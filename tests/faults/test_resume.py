@@ -346,12 +346,15 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
         np.testing.assert_array_equal(same, sampled["detected"][old])
 
     done = [len(result.stages) for result in (before, first)]
+    answer = (folders[1] / "result.json").read_bytes()
     for stages in (done[0] // 2, done[1] - 1):
         stop = StopAfter(stages)
         assert carry_out(longer, folders[1], observers=[stop], should_stop=stop).status == "stopped"
+        assert (folders[1] / "former.json").read_bytes() == answer
     words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "900"]
     assert record.run(words) == EXIT_DONE
     assert contents(folders[1]) == contents(folders[0])
+    assert not (folders[1] / "former.json").exists()
     assert (
         f"to go on: pemviz record --resume {folders[1]} --max-rollouts " in capsys.readouterr().err
     )
