@@ -140,8 +140,8 @@ def rejuvenated(
             break
         before, place = met.take(rows), np.arange(rows.size)
         tries = Tries([courses[row] for row in rows.tolist()], before.numbers, needed[rows], place)
-        turned = tries.turned(shape, shape.normals(generator, rows.size))
-        tried = ahead.tried(tries, turned, generator)
+        numbers = tries.turned(shape, shape.normals(generator, rows.size))
+        tried = ahead.tried(tries, numbers, generator)
         simulated += rows.size
         accepted = _violated(problem, tried.rollouts)[place, kept[rows]]
         accepted &= ~lost_rows(tried.rollouts)
@@ -184,28 +184,28 @@ class _SimulatedAhead:
         self._most = side_by_side(self.problem)
 
     def tried(
-        self, tries: Tries, turned: RandomNumbers, generator: np.random.Generator
+        self, tries: Tries, wanted: RandomNumbers, generator: np.random.Generator
     ) -> Violating:
         """What comes of moves' numbers; ``generator`` gave these, and stays as it is.
 
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        keys = _keys(turned)
+        keys = _keys(wanted)
         if self.rollouts is None or any(key not in self.place for key in keys):
             shape, generator = shape_of(self.problem), copy.deepcopy(generator)
-            likely = tries.likely(shape, turned, generator, most=self._most - turned.count)
-            numbers = RandomNumbers.concatenate([turned, *likely])
+            likely = tries.likely(shape, wanted, generator, most=self._most - wanted.count)
+            numbers = RandomNumbers.concatenate([wanted, *likely])
             try:
                 self.rollouts = _simulated(self.problem, numbers)
             except SimulationError:
                 if not likely:
                     raise
-                numbers, self._most = turned, 0
+                numbers, self._most = wanted, 0
                 self.rollouts = _simulated(self.problem, numbers)
             self.place = {key: place for place, key in enumerate(_keys(numbers))}
         place = np.array([self.place[key] for key in keys])
-        return Violating(turned, self.rollouts.take(place))
+        return Violating(wanted, self.rollouts.take(place))
 
 
 def _keys(numbers: RandomNumbers) -> list[bytes]:
