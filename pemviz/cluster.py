@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import re
 from concurrent.futures import Executor
 from importlib.util import find_spec
 from types import TracebackType
@@ -13,6 +14,7 @@ from pemviz.faults import exception_text
 
 CONNECT_S = 10.0
 FIRST_WORKER_S = 60.0
+HAS_PORT = re.compile(r":\d+/?$|^inproc://")
 INSTALL = "pip install 'pemviz[sweep]'"
 LOGGERS = ("distributed", "distributed.client", "distributed.core", "distributed.comm")
 
@@ -32,8 +34,11 @@ class Cluster:
         """Plan for the cluster whose scheduler is at ``address``; nothing is connected yet.
 
         Raises:
-            ConfigError: Dask is not installed.
+            ConfigError: That is no address, or Dask is not installed.
         """
+        if not HAS_PORT.search(address):  # Dask would say so, and 20 s later that it hangs
+            message = f"scheduler = {address}: cannot be reached (an address has a port, as in "
+            raise ConfigError(message + "tcp://10.0.0.5:8786)")
         if find_spec("distributed") is None:
             message = f"scheduler = {address}: needs Dask; install it with {INSTALL}"
             raise ConfigError(message)

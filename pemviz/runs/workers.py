@@ -28,8 +28,8 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
     """Refuse workers where they could not help.
 
     Raises:
-        ConfigError: Both kinds are given, there are to be none, or the simulator or method has no
-            use for any.
+        ConfigError: Both kinds are given, there are to be none, the simulator or method has no
+            use for any, or the scheduler's address is none.
     """
     check_one_kind(workers=workers, scheduler=scheduler)
     if workers is None and scheduler is None:
@@ -41,6 +41,8 @@ def check_workers(experiment: Experiment, *, workers: int | None, scheduler: str
     useless = no_use(experiment)
     if useless:
         raise ConfigError(f"{given}: {useless}")
+    if scheduler is not None:
+        Cluster(scheduler)
 
 
 def no_use(experiment: Experiment) -> str:

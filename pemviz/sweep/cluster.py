@@ -26,7 +26,7 @@ class ClusterWorkers(Cluster):
         """Plan for the cluster whose scheduler is at ``address``; nothing is connected yet.
 
         Raises:
-            ConfigError: Dask is not installed.
+            ConfigError: That is no address, or Dask is not installed.
         """
         super().__init__(address)
         self._running: dict[Any, RunTask] = {}

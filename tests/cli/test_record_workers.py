@@ -78,6 +78,7 @@ def test_jobs_of_a_batch_system_give_the_bytes_of_this_process(serial, tmp_path,
         (["--method", "splitting", "--workers", "2"], "in this process alone"),
         (["--workers", "0"], "workers = 0"),
         (["--workers", "2", "--scheduler", "tcp://x:1"], "give only one"),
+        (["--scheduler", "nonsense"], "an address has a port"),
     ],
 )
 def test_workers_that_could_not_help_are_refused(tmp_path, capsys, words, fragment):
