@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -51,6 +52,10 @@ def record(arguments: RecordArguments) -> int:
     ending = _Ending()
     try:
         result = _carry_out(arguments, experiment, folder, observers=[reports, ending])
+    except ConfigError:
+        if arguments.source.resume is None and not (folder / CONFIG).exists():
+            shutil.rmtree(folder, ignore_errors=True)  # nothing was begun
+        raise
     except RunError as error:
         if ending.result is None:
             raise

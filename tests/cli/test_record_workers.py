@@ -87,3 +87,12 @@ def test_workers_that_could_not_help_are_refused(tmp_path, capsys, words, fragme
     assert fragment in shown.err
     assert shown.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scheduler_that_is_not_there_leaves_no_run(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("pemviz.cluster.CONNECT_S", 0.5)
+    words = ["record", "--out", str(tmp_path), *HIGHWAY, "--scheduler", "tcp://127.0.0.1:9"]
+    assert main(words) == 2
+    assert "cannot be reached" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
