@@ -14,7 +14,7 @@ from pemviz.faults import exception_text
 
 CONNECT_S = 10.0
 FIRST_WORKER_S = 60.0
-HAS_PORT = re.compile(r":\d+/?$|^inproc://")
+HAS_PORT = re.compile(r":\d+|^inproc://")
 INSTALL = "pip install 'pemviz[sweep]'"
 LOGGERS = ("distributed", "distributed.client", "distributed.core", "distributed.comm")
 
