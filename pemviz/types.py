@@ -326,6 +326,7 @@ DiagnosticKind = Literal[
     "hardly-sampled",
     "uneven-side",
     "chains-disagree",
+    "not-searched",
     "reference-disagrees",
     "reference-unreliable",
     "unclassified",

@@ -237,7 +237,7 @@ def configured(
 def _within(problem: AnyProblem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
     """A budget that what chains and moves simulate is part of; of chains, if nothing says how."""
     method = by_name(config.method)
-    if "chains" not in method.settings:
+    if "chains" not in method.settings or method.most is not None:
         return method.with_budget(config, calls)
     if config.chains is not None or not problem.latents:
         return method.with_budget(config, int(calls / (1.0 + SHARE)))

@@ -186,8 +186,12 @@ def _resuming(arguments: RecordArguments, folder: Path, *options: str) -> str:
 def _more(result: RunResult) -> Sequence[str]:
     """The options that give a run twice what may have stopped it."""
     config, simulated = result.config, sum(stage.rollouts for stage in result.stages)
+    if result.estimate is not None:
+        simulated = result.estimate.rollouts_simulated
     most, minutes = by_name(config.method).most, config.max_minutes
-    words = [] if most is None else ["--max-rollouts", f"{2 * max(most(config), simulated)}"]
+    words: list[str] = []
+    if most is not None:
+        words = ["--max-rollouts", f"{2 * max(config.repetitions * most(config), simulated)}"]
     return words if minutes is None else [*words, "--max-minutes", f"{2.0 * minutes:g}"]
 
 

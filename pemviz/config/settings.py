@@ -225,9 +225,9 @@ class ExperimentConfig:
     """Half-width of the 95 % interval, as a share of the answer, that method auto goes on for, of
     the answer to each rule that a rollout has broken; 0.001 to 1."""
     max_rollouts: Annotated[int, Range(low=10, high=100_000_000)] | None = None
-    """Rollouts at most that method auto samples from proposals; 10 to 100 million. Up to a fifth
-    more search for failure modes, and so do chains. Left out, ten times those of stages, rollouts
-    and final_rollouts."""
+    """Rollouts at most that method auto simulates, in all repetitions and searches; 10 to 100
+    million. Left out, ten times those of stages, rollouts and final_rollouts are sampled from
+    proposals at most, beside plain ones and what searches for failure modes."""
     max_minutes: Annotated[float, Range(low=0.0, low_open=True, high=1e5)] | None = None
     """Minutes that method auto means to take [min]; above 0, at most 1e5. Plain rollouts are cut
     off, what proposals sample is planned by what rollouts took so far. The answer of a seed then

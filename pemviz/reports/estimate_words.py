@@ -167,9 +167,12 @@ def chosen_text(result: RunResult) -> str | None:
     )
     if half <= config.precision:
         return words
-    spent = max(_from_proposals(result).values(), default=0)
-    if spent >= most(config):
-        return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals"
+    if config.max_rollouts is None:
+        spent = max(_from_proposals(result).values(), default=0)
+        if spent >= most(config):
+            return f"{words}, and stopped by max_rollouts: {spent} were sampled from proposals"
+    elif estimate.rollouts_simulated > config.max_rollouts - config.repetitions:
+        return f"{words}, and stopped by max_rollouts {config.max_rollouts}"
     counts = by_name(estimate.method).interval_basis == "counts"
     if config.max_minutes is not None:
         # a count that came to an end met violations by which its number was chosen

@@ -70,8 +70,8 @@ def nothing_finished(repetition: int, stage: int) -> FinishedStage | None:  # no
     return None
 
 
-def _no_progress(done: int, total: int) -> None:
-    pass
+def no_progress(done: int, total: int) -> None:
+    """Nobody is told."""
 
 
 def _no_pause() -> None:
@@ -133,7 +133,7 @@ class Problem:
     batch_rollouts: int = BATCH_ROLLOUTS
     step_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
-    progress: Callable[[int, int], None] = _no_progress
+    progress: Callable[[int, int], None] = no_progress
     pause: Callable[[], None] = _no_pause
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None

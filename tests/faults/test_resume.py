@@ -322,12 +322,12 @@ def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
     assert read_whole_run(folder).status == "done"
 
 
-SHORT = replace(SMALL, method="auto", seed=2, precision=0.05, max_rollouts=220)
+SHORT = replace(SMALL, method="auto", seed=2, precision=0.05, max_rollouts=440)
 
 
 def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     """From all that it has; stopped in between, or read back to the end, to the same bytes."""
-    longer = build_experiment(replace(SHORT, max_rollouts=900))
+    longer = build_experiment(replace(SHORT, max_rollouts=1_800))
     folders = [folder_of(tmp_path, name) for name in ("whole", "parts")]
     for folder in folders:
         carry_out(build_experiment(SHORT), folder)
@@ -351,7 +351,7 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
         stop = StopAfter(stages)
         assert carry_out(longer, folders[1], observers=[stop], should_stop=stop).status == "stopped"
         assert (folders[1] / "former.json").read_bytes() == answer
-    words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "900"]
+    words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "1800"]
     assert record.run(words) == EXIT_DONE
     assert contents(folders[1]) == contents(folders[0])
     assert not (folders[1] / "former.json").exists()
@@ -367,7 +367,7 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     assert carry_out(longer, folders[1]).status == "done"  # which reads its stages back
     assert contents(folders[1]) == contents(folders[0])
     # nothing more may be sampled: the same answer again
-    fewer = replace(longer.config, max_rollouts=300, max_minutes=5.0)
+    fewer = replace(longer.config, max_rollouts=600, max_minutes=5.0)
     assert carry_out(build_experiment(fewer), folders[1]).estimate == first.estimate
 
 
@@ -375,7 +375,7 @@ def test_a_run_that_is_as_precise_as_was_asked_has_no_stages_to_go_on_from(tmp_p
     folder = folder_of(tmp_path, "whole")
     carry_out(build_experiment(replace(SHORT, precision=0.9, repetitions=1)), folder)
     before = contents(folder)
-    for words in (["--precision", "5%"], ["--max-minutes", "7", "--max-rollouts", "900"]):
+    for words in (["--precision", "5%"], ["--max-minutes", "7", "--max-rollouts", "1800"]):
         with pytest.raises(InputError, match=r"as precise as it was to be, .*; start a new run$"):
             record.run(["--resume", str(folder), *words])
     with pytest.raises(InputError, match="was begun with settings other"):

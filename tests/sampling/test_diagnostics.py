@@ -30,6 +30,7 @@ from pemviz.sampling.estimates.diagnostics import (
     lost_rollouts,
     not_absorbing,
     not_repeatable,
+    not_searched,
     parts_disagreement,
     plain_disagreement,
     reference_disagreement,
@@ -332,6 +333,7 @@ def one_of_each_kind():
         *plain_disagreement(0.5, low=0.01, high=0.03, failures=20, rollouts=1_000),
         *hardly_sampled(by_chains=0.5, by_weights=0.1),
         *chains_disagreement(more=2.0, allowed=0.5),
+        not_searched(),
         *reference_disagreement(estimate, probability=1e-20, std_error=0.0),
         *summarise_repetitions([weighted([]), weighted([1.0, *[0.01] * 29])]).diagnostics,
     ]

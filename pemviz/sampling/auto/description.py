@@ -25,6 +25,8 @@ PLAIN_SHARE = 0.2
 """Plain rollouts of the first stage, beside those that proposals begin with."""
 LOOKED_AT = 2
 """Times those that proposals begin with: plain rollouts at most until a way is chosen."""
+LOOKED_SHARE = 0.2
+"""Of all rollouts, where there is a limit: likewise, beside the first stage."""
 PLAIN_PAYS, PLAIN_PAYS_SLOWLY = 20, 2
 """Times likewise, up to which plain rollouts are no dearer than proposals: fitting takes as long as
 so many, but where rollouts are slow."""
@@ -48,9 +50,9 @@ def _budget(config: ExperimentConfig) -> Budget:
 
 
 def most_rollouts(config: ExperimentConfig) -> int:
-    """At most so many are sampled from proposals."""
+    """At most so many are sampled from proposals in a repetition."""
     if config.max_rollouts is not None:
-        return config.max_rollouts
+        return config.max_rollouts // config.repetitions
     return MOST_TIMES * learning_budget(config).rollouts
 
 
@@ -71,19 +73,21 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
 
     budget, most = learning_budget(config).rollouts, most_rollouts(config)
     mixture, begins_with = mixture_of(config, back_end), _budget(config).rollouts
+    in_all = math.inf if config.max_rollouts is None else most
     if most < budget:
+        times = f" in {config.repetitions} repetitions" * (config.repetitions > 1)
         message = (
-            f"max_rollouts = {most}: must be at least the {budget} that stages, rollouts and "
-            "final_rollouts come to"
+            f"max_rollouts = {config.max_rollouts}: must be at least the "
+            f"{budget * config.repetitions} that stages, rollouts and final_rollouts come to{times}"
         )
         raise ConfigError(message)
     is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH
     return AutoSampling(
         mixture=replace(mixture, learning_stages=_begins_with(config).stages),
         first=max(int(PLAIN_SHARE * begins_with), 2),
-        most_looked_at=LOOKED_AT * budget,
+        most_looked_at=int(min(LOOKED_AT * budget, LOOKED_SHARE * in_all)),
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
-        limits=Limits(config.precision, most, _most_s(config)),
+        limits=Limits(config.precision, most, _most_s(config), in_all),
     )
 
 

@@ -17,6 +17,9 @@ If only that stage shows what undermines the answer, it is learned from too, and
 as far as rollouts are left; but not from one so large that it comes in parts. The answer has to
 agree with the plain count.
 
+Where rollouts are limited, all are: the plain ones, those of proposals, and those of searches. What
+is left before a stage decides as the time that is left does.
+
 What is chosen follows from counts alone, so that the same seed gives the same answer on every
 machine, unless a time is set. Then plain rollouts are cut off when it is over, and what proposals
 sample is planned by what rollouts took so far. What the stages took, and the limits that they were
@@ -36,7 +39,7 @@ from scipy.special import ndtri
 from pemviz.arrays import AnyArray, FloatArray, IntArray
 from pemviz.binomial import exact_interval
 from pemviz.proposals.fixed import PemProposal
-from pemviz.sampling.estimates.diagnostics import plain_disagreement, undermining
+from pemviz.sampling.estimates.diagnostics import not_searched, plain_disagreement, undermining
 from pemviz.sampling.estimates.estimators import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
@@ -44,7 +47,7 @@ from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.rejuvenated import SHARE
 from pemviz.sampling.mixture.stages import MixtureState
-from pemviz.sampling.problem import FinishedStage, Problem, sample
+from pemviz.sampling.problem import FinishedStage, Problem, no_progress, sample
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts, part_sizes, weighed
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.seeds import stage_seeds
@@ -54,6 +57,9 @@ FIRST_STAGE = 2**31
 """Number of the first stage of plain rollouts where seeds are concerned: no method has as many."""
 FEW_FAILURES = 10
 """Violations among plain rollouts from which on their share is known well enough."""
+FREQUENT = 0.05
+"""Share from which on a count that falls short is worth more than proposals that do: their error is
+hardly the smaller, and it can be deceived."""
 FAR_FACTOR = 3.0
 """Times the wanted half-width, beyond which more rollouts are to learn from, not only to count."""
 MARGIN = 1.1
@@ -83,16 +89,24 @@ class Limits:
         precision: Wanted half-width of the 95 % interval, as a share of the answer.
         most: Rollouts at most that proposals draw.
         most_s: Seconds at most.
+        most_in_all: Rollouts at most, plain ones and those of searches too.
     """
 
     precision: float
     most: int
     most_s: float = math.inf
+    most_in_all: float = math.inf
 
     @property
     def kept(self) -> FloatArray:
-        """As they are kept beside a stage, ``[3]``."""
-        return np.array([self.precision, self.most, self.most_s])
+        """As they are kept beside a stage, ``[4]``."""
+        return np.array([self.precision, self.most, self.most_s, self.most_in_all])
+
+    @classmethod
+    def of_kept(cls, kept: AnyArray) -> Self:
+        """From what was kept, by an earlier version without the last of them."""
+        precision, most, *others = kept.tolist()
+        return cls(precision, int(most), *others)
 
 
 @dataclass(frozen=True)
@@ -152,6 +166,14 @@ class AutoState:
         return len(self.took)
 
     @property
+    def simulated(self) -> int:
+        """Rollouts so far, those of searches too."""
+        plain, proposing = sum(part.weighed.count for part in self.plain), self.proposing
+        if proposing is None:
+            return plain
+        return plain + proposing.state.drawn + proposing.state.searching
+
+    @property
     def counted(self) -> WeighedRollouts:
         """The plain rollouts that are the answer, or all."""
         return WeighedRollouts.concatenate(
@@ -189,6 +211,26 @@ class AutoSampling:
 
     def step(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
         """The next plain rollouts, or the next stage of proposals."""
+        state, result = self._stepped(problem, state)
+        counts = result.kind == "final" and state.proposing is None
+        if counts and not self._stays_counted(problem, state):
+            result = replace(result, kind="pretrain")
+        return state, result
+
+    def _stays_counted(self, problem: Problem, state: AutoState) -> bool:
+        """Whether what is counted is the answer still where the finished stages end.
+
+        A run that goes on with other limits may take to proposals after all.
+        """
+        quiet = replace(problem, progress=no_progress)
+        while state.proposing is None and not self.is_done(state):
+            if problem.finished(state.repetition, state.stage) is None:
+                return True
+            state, _ = self._stepped(quiet, state)
+        return state.proposing is None
+
+    def _stepped(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
+        """As it goes by what the stages before leave."""
         began, left = time.perf_counter(), dict[str, AnyArray]()
 
         def finished(repetition: int, stage: int) -> FinishedStage | None:
@@ -211,13 +253,12 @@ class AutoSampling:
         following = problem.finished(state.repetition, stage + 1)
         decided_by = self.limits.kept if following is None else following.kept.get(LIMITS, limits)
         deciding = self if following is None else self._under(decided_by)
-        goes_on = not np.array_equal(limits, decided_by)
+        goes_on = Limits.of_kept(limits) != Limits.of_kept(decided_by)
         return deciding._chosen(problem, state, result, proposing=proposing, goes_on=goes_on)
 
     def _under(self, kept: AnyArray) -> Self:
         """Under the limits that are kept beside a stage."""
-        precision, most, most_s = kept.tolist()
-        return replace(self, limits=Limits(precision, int(most), most_s))
+        return replace(self, limits=Limits.of_kept(kept))
 
     def _chosen(
         self,
@@ -238,20 +279,24 @@ class AutoSampling:
                     state, proposing.state, state.proposing, result, goes_on=goes_on
                 )
             return self._with_next_stages(state, state.proposing), result
-        if not state.sizes or goes_on or self._left_s(state) <= 0.0:
+        if not state.sizes or goes_on or self._is_over(state):
             state = self._decided(problem, state)
         return state, result if state.sizes else replace(result, kind="pretrain")
 
     def _left_s(self, state: AutoState) -> float:
         return self.limits.most_s - sum(stage.seconds for stage in state.took)
 
-    def _within_s(self, state: AutoState) -> float:
-        """Rollouts that the time left is enough for, by what those of the last stage took."""
+    def _is_over(self, state: AutoState) -> bool:
+        return self._left_s(state) <= 0.0 or self.limits.most_in_all <= state.simulated
+
+    def _within(self, state: AutoState) -> float:
+        """Rollouts that are left, or that the time left is enough for, by the last stage's."""
         last, proposing = state.took[-1], state.proposing
         count = last.count
         if proposing is not None:
             count += proposing.state.searched_last
-        return self._left_s(state) * count / max(last.seconds, 1e-9)
+        in_time = self._left_s(state) * count / max(last.seconds, 1e-9)
+        return min(in_time, self.limits.most_in_all - state.simulated)
 
     def _plain_step(
         self, problem: Problem, state: AutoState, *, began_s: float
@@ -299,19 +344,21 @@ class AutoSampling:
         first = state.first_counted if state.sizes else len(state.plain) - 1
         done = [part.weighed.count for part in state.plain[first:]]
         counting = replace(state, sizes=tuple(done), first_counted=first)
-        if self._left_s(state) <= 0.0:
+        if self._is_over(state):
             return counting
         so_far = state.counted
         failures, count = _fewest_failures(problem, so_far), so_far.count
         if 0 < failures < FEW_FAILURES and count < self.most_looked_at:
             return replace(state, sizes=(), first_counted=0)
-        wanted = math.inf
+        wanted, share = math.inf, failures / count
         if failures >= FEW_FAILURES:
-            share, errors = failures / count, float(ndtri(0.5 + CONFIDENCE / 2.0))
+            errors = float(ndtri(0.5 + CONFIDENCE / 2.0))
             wanted = math.ceil((errors / self.limits.precision) ** 2 * (1.0 - share) / share)
-        within = self._within_s(state)
+        within = self._within(state)
         if wanted > min(self.most_plain, within):
-            if within >= FEWEST_STAGES * FEWEST_ROLLOUTS:
+            counts = share >= FREQUENT and self.limits.most_in_all < wanted + state.simulated
+            fewest = min(FEWEST_ROLLOUTS, self.mixture.rollouts)
+            if within >= FEWEST_STAGES * fewest and not counts:
                 return self._begun(problem, replace(state, sizes=(), first_counted=0), within)
             wanted = sum(done) + within
         more = int(wanted) - sum(done)
@@ -327,10 +374,8 @@ class AutoSampling:
         plain, method = PlainRollouts(sum(counts), row, chosen), self.mixture
         if within < FEWEST_STAGES * method.rollouts:
             method = replace(method, rollouts=int(within) // FEWEST_STAGES)
-        if within < 2 * CHAINS_COST * method.chains:
-            method = replace(method, chains=0)
         if math.isfinite(within):
-            method = replace(method, most_moves=int(SHARE * within))
+            method = _searching_less(method, int(within))
         begun = method.init(problem, repetition=state.repetition, plain=plain)
         return replace(state, proposing=Proposing(method, begun))
 
@@ -343,12 +388,25 @@ class AutoSampling:
         if surrogate is not None and taught is not None and not taught.fits:
             stages = max(method.learning_stages, surrogate.learning_stages)
             method = replace(method, learning_stages=stages)  # as without one
+        within = self._within(state)
         if inner.stage == method.learning_stages + 1:
             method = self._gone_on(state, method, inner)
-        elif self._within_s(state) < 2.0 * method.rollouts:
-            # what is learned from next is the last, as the stage that counts needs time too
+        elif within < FEWEST_STAGES * method.rollouts:
+            # what is learned from next is the last, as the stage that counts takes as much
             method = replace(method, learning_stages=max(inner.stage, 1))
+        method = self._moving_less(state, method, inner)
         return replace(state, proposing=replace(proposing, method=method))
+
+    def _moving_less(
+        self, state: AutoState, method: MixtureSampling, inner: MixtureState
+    ) -> MixtureSampling:
+        """The method whose next stage moves no more than leaves a stage to learn, and the last."""
+        if not math.isfinite(self.limits.most_in_all):
+            return method
+        others = FEWEST_STAGES - (inner.stage == method.learning_stages)
+        after = self._within(state) - others * method.rollouts
+        most = inner.rejuvenated.simulated + max(int(after), 0)
+        return replace(method, most_moves=min(method.most_moves, most))
 
     def _gone_on(
         self, state: AutoState, method: MixtureSampling, inner: MixtureState
@@ -408,18 +466,17 @@ class AutoSampling:
         # what was the last stage is one of those that learn
         longer = replace(longer, learning_stages=longer.learning_stages + 1, final_rollouts=final)
         inner, result = longer.learned_from_last(before, inner, result)
+        longer = self._moving_less(state, longer, inner)
         return replace(state, proposing=Proposing(longer, inner)), result
 
     def _counts(self, state: AutoState, inner: MixtureState) -> tuple[int, int, int]:
         """Rollouts that proposals have drawn, that are left, and the last stage's at least."""
-        pool = inner.pool
-        plain = 0 if inner.before is None else inner.before.count
-        drawn = 0 if pool is None else pool.sampled - plain
+        drawn = inner.drawn
         left, least = self.limits.most - drawn, self.mixture.final_rollouts
-        within = self._within_s(state)
+        within, in_all = self._within(state), self.limits.most_in_all - state.simulated
         if math.isfinite(within):
-            left = min(left, max(int(within), FEWEST_ROLLOUTS))
-            least = min(least, max(left, FEWEST_ROLLOUTS))
+            left = int(min(left, max(within, FEWEST_ROLLOUTS), max(in_all, 0)))
+            least = max(int(min(least, max(left, FEWEST_ROLLOUTS), in_all)), 1)
         return drawn, left, least
 
     def _is_far(self, found: Sequence[Estimate]) -> bool:
@@ -458,13 +515,17 @@ class AutoSampling:
         """
         counted = state.counted
         if state.proposing is None:
-            return monte_carlo_estimate(counted, method="monte-carlo")
+            found = monte_carlo_estimate(counted, method="monte-carlo")
+            return replace(found, rollouts_simulated=state.simulated)
         found = state.proposing.method.estimate(state.proposing.state)
         low, high = exact_interval(counted.failures, counted.count, confidence=PLAIN_CONFIDENCE)
         plain = plain_disagreement(
             found.probability, low=low, high=high, failures=counted.failures, rollouts=counted.count
         )
-        return replace(found, diagnostics=(*found.diagnostics, *plain))
+        explored = state.proposing.state.explored
+        is_searched = explored is not None and explored.log_probability.size
+        missed = (not_searched(),) if self.mixture.chains and not is_searched else ()
+        return replace(found, diagnostics=(*found.diagnostics, *plain, *missed))
 
     def under_rule(self, state: AutoState, rule: str) -> AutoState:
         """The same rollouts with the verdict of one rule."""
@@ -506,6 +567,16 @@ def _proposing_step(
     inner, result = proposing.method.step(replace(problem, finished=finished), proposing.state)
     state = replace(state, proposing=replace(proposing, state=inner))
     return state, replace(result, stage=result.stage + before)
+
+
+def _searching_less(method: MixtureSampling, within: int) -> MixtureSampling:
+    """The method where no more than ``within`` rollouts are left."""
+    chains = min(method.chains, within // (2 * CHAINS_COST))
+    chains = chains if chains >= FEWEST_ROLLOUTS else 0
+    left = within - FEWEST_STAGES * method.rollouts
+    by_chains = min(within // 2, left) if chains else 0
+    moves = min(int(SHARE * within), left - by_chains)
+    return replace(method, chains=chains, most_by_chains=by_chains, most_moves=moves)
 
 
 def _precise_answers(

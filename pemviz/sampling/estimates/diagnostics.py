@@ -173,6 +173,12 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         undermines=ALL_BUT_COUNTS,
         in_repetitions="independent chains find a higher probability",
     ),
+    # most answers are right without; one that is not shows nothing
+    "not-searched": Meaning(
+        phrase="too few rollouts for chains",
+        undermines=NOTHING,
+        in_repetitions="there were too few rollouts for chains to search for failure modes",
+    ),
     "reference-disagrees": Meaning(phrase="times the reference", undermines=ALL),
     # the estimate may be right all the same
     "reference-unreliable": Meaning(phrase="the reference itself is", undermines=NOTHING),
@@ -396,6 +402,15 @@ def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnosti
         f"error is {by_chains:.2g} of the estimate, by the weights {by_weights:.2g}"
     )
     return (Diagnostic("hardly-sampled", by_chains, MORE_ERROR * by_weights, text),)
+
+
+def not_searched() -> Diagnostic:
+    """Of an estimate by proposals, where limits left nothing for chains that were to search."""
+    text = (
+        "the limits left too few rollouts for chains to search for failure modes: what neither "
+        "exploration nor plain rollouts met is not in the answer"
+    )
+    return Diagnostic("not-searched", None, None, text)
 
 
 def chains_disagreement(*, more: float, allowed: float) -> Sequence[Diagnostic]:

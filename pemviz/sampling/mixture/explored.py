@@ -256,7 +256,7 @@ def against_chains(
 def _totals(log_probability: FloatArray, log_estimate: float) -> tuple[Diagnostic, ...]:
     """Runs whose logarithms are about normal tell the log of their mean's interval."""
     runs = log_probability.size
-    if not np.isfinite(log_probability).all():
+    if not (runs and np.isfinite(log_probability).all()):
         return ()
     variance = float(np.var(log_probability, ddof=1))
     centre = float(np.mean(log_probability)) + 0.5 * variance

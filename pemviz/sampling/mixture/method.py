@@ -98,7 +98,8 @@ class MixtureSampling:
         largest_part: How many final rollouts are sampled at once.
         enough: Violations after which a stage of more rollouts, from which is learned, is over.
         chains: Rollouts a level of the chains that search for failure modes first; 0: none do.
-        most_moves: Rollouts at most that violations are moved by, where time is short.
+        most_by_chains: Rollouts at most that they take, where few are left.
+        most_moves: Rollouts at most that violations are moved by, where time is short, or likewise.
         surrogate: On which proposals are learned first; ``None``: there is none.
     """
 
@@ -111,6 +112,7 @@ class MixtureSampling:
     largest_part: int = LARGEST_PART
     enough: int = LARGEST_PART // 2
     chains: int = 0
+    most_by_chains: float = math.inf
     most_moves: float = math.inf
     surrogate: Surrogate | None = None
     name: str = "mixture"
@@ -281,6 +283,7 @@ class MixtureSampling:
         return explore(
             stages.watching(problem),
             rollouts=self.chains,
+            most=self.most_by_chains,
             seed=self.seed,
             repetition=state.repetition,
         )

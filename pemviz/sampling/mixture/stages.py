@@ -295,6 +295,12 @@ class MixtureState:
         return has_many_features(basis, defensive=defence(self.steps))
 
     @property
+    def drawn(self) -> int:
+        """Rollouts of the stages."""
+        plain = 0 if self.before is None else self.before.count
+        return 0 if self.pool is None else self.pool.sampled - plain
+
+    @property
     def searching(self) -> int:
         """Rollouts beside the stages', in which failure modes were searched for."""
         by_chains = 0 if self.explored is None else self.explored.simulated

@@ -15,8 +15,8 @@ from pemviz.sampling.problem import Problem
 from pemviz.sampling.subset.run import SubsetSimulation
 from pemviz.types import ScoredRollouts
 
-RUNS = 4
-"""Of chains, beside the one that finds their levels."""
+RUNS, FEWEST_RUNS = 4, 2
+"""Of chains, beside the one that finds their levels; where few rollouts are left."""
 APART = 2
 """One in so many of the violations is kept: neighbours in a chain are nearly the same."""
 SPAWN_KEY = 2**32 - 3
@@ -40,15 +40,27 @@ class Explored:
     simulated: int
 
 
-def explore(problem: Problem, *, rollouts: int, seed: int, repetition: int) -> Explored:
-    """Runs with ``rollouts`` a level.
+def explore(
+    problem: Problem, *, rollouts: int, seed: int, repetition: int, most: float = math.inf
+) -> Explored:
+    """Runs with ``rollouts`` a level, fewer where ``most`` rollouts are not enough for all.
+
+    If they are not for two beside the one that finds levels, that one is cut off, and nothing is
+    found.
 
     Raises:
         SimulationError: Something raises, is no finite number, or a batch takes too long.
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(repetition, SPAWN_KEY)).spawn(RUNS + 1)
     first, *others = (np.random.default_rng(one) for one in seeds)
-    prepared, simulated = SubsetSimulation().prepare(problem, count=rollouts, generator=first)
+    prepared, simulated = SubsetSimulation().prepare(
+        problem, count=rollouts, generator=first, most=most / (1 + FEWEST_RUNS)
+    )
+    affordable = (most - simulated) / prepared.most_rollouts(rollouts)
+    if prepared.is_cut_off or affordable < FEWEST_RUNS:
+        return Explored(None, np.empty(0), np.empty(0), simulated)
+    if affordable < RUNS:
+        others = others[: int(affordable)]
     with of_no_rollouts():  # of the stage that comes after
         runs = prepared.carry_out(problem, count=rollouts, generators=others)
     simulated += sum(run.simulated for run in runs)

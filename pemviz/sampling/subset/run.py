@@ -113,15 +113,32 @@ Going = Generator[Wanted, Simulated, Found]
 
 @dataclass(frozen=True)
 class SubsetSimulation:
-    """Runs between given levels; none: they are yet to be found."""
+    """Runs between given levels; none: they are yet to be found.
+
+    Attributes:
+        levels: They.
+        is_cut_off: Whether there are lower ones, which too few rollouts were left to find.
+    """
 
     levels: tuple[Level, ...] = ()
+    is_cut_off: bool = False
     moved_share: ClassVar[float] = KEPT_SHARE
 
+    def most_rollouts(self, count: int) -> int:
+        """What a run with ``count`` rollouts a level takes, if it reaches the last."""
+        return count + sum(count - level.chains(count) for level in self.levels)
+
     def prepare(
-        self, problem: Problem, *, count: int, generator: np.random.Generator
+        self,
+        problem: Problem,
+        *,
+        count: int,
+        generator: np.random.Generator,
+        most: float = math.inf,
     ) -> "tuple[SubsetSimulation, int]":
         """With the levels that a run of ``count`` rollouts found, and what that simulated.
+
+        It is cut off before it takes more than ``most`` of them.
 
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
@@ -131,7 +148,7 @@ class SubsetSimulation:
             problem.progress(0, count)
 
         with of_no_rollouts():  # of a run's that counts
-            going = _finding(problem, count=count, generator=generator)
+            going = _finding(problem, count=count, generator=generator, most=most)
             (found,) = _in_step(problem, [going], report)
         return found
 
@@ -143,8 +160,7 @@ class SubsetSimulation:
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        moved_on = sum(count - level.chains(count) for level in self.levels)
-        most = len(generators) * (count + moved_on)
+        most = len(generators) * self.most_rollouts(count)
 
         def report(simulated: int) -> None:
             problem.progress(count * simulated // most, count)
@@ -219,7 +235,7 @@ def _begun(shape: Shape, count: int, generator: np.random.Generator) -> Going[Po
 
 
 def _finding(
-    problem: Problem, *, count: int, generator: np.random.Generator
+    problem: Problem, *, count: int, generator: np.random.Generator, most: float
 ) -> Going[tuple[SubsetSimulation, int]]:
     """A run that finds levels and learns of moves, and how many rollouts it took."""
     shape, levels, simulated = shape_of(problem), list[Level](), count
@@ -230,6 +246,8 @@ def _finding(
         if below is None:
             break
         starts = population.take(np.flatnonzero(below))
+        if simulated + count - starts.score.size > most:
+            return SubsetSimulation(tuple(levels), is_cut_off=True), simulated
         simulated += count - starts.score.size
         level = Level(
             threshold=max(float(starts.score.max()), JUST_BELOW),
