@@ -33,6 +33,8 @@ from pemviz.sampling.mixture.rejuvenated import SHARE
 from pemviz.sampling.registry import by_name
 
 OTHERS = "others.jsonl"
+MOST_PRECISE = 0.001
+"""As can be asked for."""
 CHAINS_SHARE, CHAINS_LEVELS, LEAST_CHAINS = 0.2, 25, 20
 """Of a budget in counts, for chains; levels of all of their runs, about: 14 to 34 for 1e-3 to 1e-9;
 rollouts a level from which on they are worth it."""
@@ -237,7 +239,11 @@ def configured(
 def _within(problem: AnyProblem, config: ExperimentConfig, calls: int) -> ExperimentConfig:
     """A budget that what chains and moves simulate is part of; of chains, if nothing says how."""
     method = by_name(config.method)
-    if "chains" not in method.settings or method.most is not None:
+    if method.most is not None:  # all of it is spent, whatever is precise enough before
+        if config.precision == ExperimentConfig.precision:
+            config = replace(config, precision=MOST_PRECISE)
+        return method.with_budget(config, calls)
+    if "chains" not in method.settings:
         return method.with_budget(config, calls)
     if config.chains is not None or not problem.latents:
         return method.with_budget(config, int(calls / (1.0 + SHARE)))
