@@ -31,6 +31,7 @@ from tests.toy import (
 )
 
 RARE = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
+SELDOM = ToySimulator(initial_gap=4, states=12), ToyPem(at_zero=2.0)
 OFTEN = ToySimulator(initial_gap=2, states=12), ToyPem(at_zero=1.0)
 
 
@@ -147,7 +148,7 @@ def slow(system, monkeypatch, **settings):
     monkeypatch.setattr(method, "time", SimpleNamespace(perf_counter=lambda: clock.now_s))
     walk, pem = system
     simulator = Slow(clock=clock, initial_gap=walk.initial_gap, states=walk.states)
-    whole = experiment(simulator, pem, seed=3, chains=0, **settings)
+    whole = experiment(simulator, pem, **({"seed": 3, "chains": 0} | settings))
     clock.now_s = 0.0  # it was tried
     return whole, clock
 
@@ -254,12 +255,55 @@ def test_a_limit_is_one_of_all_that_is_simulated(limit_m, needs, most):
     assert missed == (found.method == "mixture" and most < needs)
 
 
+def test_chains_that_are_few_a_level_search_where_rollouts_are_left():
+    drift = Drift(states=9, miss_m=0.3)
+    config = ExperimentConfig(method="auto", spec=drift.spec(2.5), chains=50, max_rollouts=20_000)
+    found = run(build_experiment(config, simulator=drift, pem=ConstantPem(0.1))).estimate
+    assert not found.diagnostics
+
+
+def test_a_limit_that_nothing_violates_within_is_spent_and_named():
+    result = run(experiment(ToySimulator(initial_gap=30, states=9), RARE[1], max_rollouts=3_000))
+    assert result.estimate.failures == 0
+    assert result.estimate.rollouts_simulated == 3_000
+    assert "and stopped by max_rollouts 3000" in summary_text(result)
+
+
 @pytest.mark.parametrize(("repetitions", "most"), [(1, 1_700), (4, 1_200)])
 @pytest.mark.parametrize("system", [RARE, OFTEN])
 def test_a_limit_is_one_of_all_repetitions(system, repetitions, most):
     small = {"stages": 3, "rollouts": 40, "final_rollouts": 40, "repetitions": repetitions}
     found = run(experiment(*system, precision=0.001, max_rollouts=most, **small)).estimate
     assert 0.95 * most < found.rollouts_simulated <= most
+
+
+@pytest.mark.parametrize(
+    ("begun", "wanted"),
+    [
+        ({"max_rollouts": 1_200}, {"max_rollouts": 2_000}),
+        ({"max_rollouts": 1_200}, {"max_rollouts": 20_000}),
+        ({"max_minutes": 3.0}, {"max_rollouts": 20_000}),
+        ({}, {"max_rollouts": 2_000}),
+        ({}, {"max_rollouts": 20_000}),
+    ],
+)
+def test_plain_rollouts_are_looked_at_as_the_limits_of_their_time_had_it(
+    begun, wanted, monkeypatch
+):
+    """Few of the first violate: whether more plain ones follow is a matter of the limits."""
+    exact = toy_probability_by_recursion(*SELDOM)
+    for seed in range(4):
+        first, _ = slow(SELDOM, monkeypatch, precision=0.05, seed=seed, **begun)
+        _, results = stepped_through(first.method, first.problem)
+        second, _ = slow(SELDOM, monkeypatch, precision=0.05, seed=seed, **wanted)
+        for stops in (len(results) // 2, len(results)):
+            state, longer = stepped_through(second.method, restoring(second, results[:stops]))
+            found = second.method.estimate(state)
+            assert found.method == "mixture"
+            assert found.probability == pytest.approx(exact, rel=0.25)
+            sizes = [result.count for result in results[:stops]]
+            assert [result.count for result in longer][:stops] == sizes
+    assert {result.kind for result in longer[:2]} == {"pretrain"}
 
 
 def test_a_count_that_proposals_follow_in_a_run_that_goes_on_is_no_last_stage():
@@ -275,6 +319,24 @@ def test_a_count_that_proposals_follow_in_a_run_that_goes_on_is_no_last_stage():
     kinds = [result.kind for result in longer]
     assert kinds[:3] == ["pretrain"] * 3
     assert kinds[3:] == ["learn"] * (len(kinds) - 4) + ["final"]
+
+
+def test_a_count_after_which_more_is_looked_at_is_no_last_stage():
+    """The limit left nothing to learn from; with a higher one, too few violate yet."""
+    small = {"stages": 1, "rollouts": 50, "final_rollouts": 2, "precision": 0.05, "seed": 632}
+    system = ToySimulator(initial_gap=5, states=12), ToyPem(at_zero=2.0)
+    first = experiment(*system, max_rollouts=102, **small)
+    _, results = stepped_through(first.method, first.problem)
+    assert [(result.kind, result.count) for result in results] == [("final", 20), ("final", 82)]
+    second = experiment(*system, max_rollouts=1_020, **small)
+    whole, longer = stepped_through(second.method, restoring(second, results))
+    kinds = [result.kind for result in longer]
+    assert kinds[-2:] == ["learn", "final"]
+    assert "final" not in kinds[:-1]
+    for stops in range(2, len(longer)):
+        again, same = stepped_through(second.method, restoring(second, longer[:stops]))
+        assert second.method.estimate(again) == second.method.estimate(whole)
+        assert [result.kind for result in same] == kinds
 
 
 def test_what_is_frequent_is_counted_up_to_a_limit_of_all():

@@ -25,8 +25,6 @@ PLAIN_SHARE = 0.2
 """Plain rollouts of the first stage, beside those that proposals begin with."""
 LOOKED_AT = 2
 """Times those that proposals begin with: plain rollouts at most until a way is chosen."""
-LOOKED_SHARE = 0.2
-"""Of all rollouts, where there is a limit: likewise, beside the first stage."""
 PLAIN_PAYS, PLAIN_PAYS_SLOWLY = 20, 2
 """Times likewise, up to which plain rollouts are no dearer than proposals: fitting takes as long as
 so many, but where rollouts are slow."""
@@ -85,7 +83,7 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
     return AutoSampling(
         mixture=replace(mixture, learning_stages=_begins_with(config).stages),
         first=max(int(PLAIN_SHARE * begins_with), 2),
-        most_looked_at=int(min(LOOKED_AT * budget, LOOKED_SHARE * in_all)),
+        most_looked_at=LOOKED_AT * budget,
         most_plain=(PLAIN_PAYS_SLOWLY if is_slow else PLAIN_PAYS) * budget,
         limits=Limits(config.precision, most, _most_s(config), in_all),
     )

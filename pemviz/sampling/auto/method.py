@@ -55,6 +55,9 @@ from pemviz.types import Estimate, ScoredRollouts, StageResult
 
 FIRST_STAGE = 2**31
 """Number of the first stage of plain rollouts where seeds are concerned: no method has as many."""
+LOOKED_SHARE = 0.2
+"""Of all rollouts, where they are limited: plain ones beside the first stage's until a way is
+chosen."""
 FEW_FAILURES = 10
 """Violations among plain rollouts from which on their share is known well enough."""
 FREQUENT = 0.05
@@ -222,12 +225,12 @@ class AutoSampling:
 
         A run that goes on with other limits may take to proposals after all.
         """
-        quiet = replace(problem, progress=no_progress)
+        quiet, stage = replace(problem, progress=no_progress), state.stage - 1
         while state.proposing is None and not self.is_done(state):
             if problem.finished(state.repetition, state.stage) is None:
-                return True
+                break
             state, _ = self._stepped(quiet, state)
-        return state.proposing is None
+        return bool(state.sizes) and stage >= state.first_counted
 
     def _stepped(self, problem: Problem, state: AutoState) -> tuple[AutoState, StageResult]:
         """As it goes by what the stages before leave."""
@@ -328,6 +331,11 @@ class AutoSampling:
         )
         return replace(state, plain=(*state.plain, done)), result
 
+    @property
+    def _most_looked_at(self) -> int:
+        """As the limits at hand have it: a run that goes on with others decided by its own."""
+        return int(min(self.most_looked_at, LOOKED_SHARE * self.limits.most_in_all))
+
     def _next_plain(self, problem: Problem, state: AutoState) -> int:
         """How many plain rollouts the next stage has, ahead of proposals or as the answer."""
         if state.sizes:
@@ -336,7 +344,7 @@ class AutoSampling:
             return self.first
         so_far = state.counted
         wanted = math.ceil(FEW_FAILURES * so_far.count / _fewest_failures(problem, so_far))
-        return max(min(wanted, self.most_looked_at) - so_far.count, 1)
+        return max(min(wanted, self._most_looked_at) - so_far.count, 1)
 
     def _decided(self, problem: Problem, state: AutoState) -> AutoState:
         """After plain rollouts: more to see their share, all that a count takes, or proposals."""
@@ -348,7 +356,7 @@ class AutoSampling:
             return counting
         so_far = state.counted
         failures, count = _fewest_failures(problem, so_far), so_far.count
-        if 0 < failures < FEW_FAILURES and count < self.most_looked_at:
+        if 0 < failures < FEW_FAILURES and count < self._most_looked_at:
             return replace(state, sizes=(), first_counted=0)
         wanted, share = math.inf, failures / count
         if failures >= FEW_FAILURES:
@@ -389,6 +397,8 @@ class AutoSampling:
             stages = max(method.learning_stages, surrogate.learning_stages)
             method = replace(method, learning_stages=stages)  # as without one
         within = self._within(state)
+        if inner.stage > 1 and within <= method.rollouts:
+            method = replace(method, learning_stages=inner.stage - 1)  # none is left to learn from
         if inner.stage == method.learning_stages + 1:
             method = self._gone_on(state, method, inner)
         elif within < FEWEST_STAGES * method.rollouts:
@@ -425,7 +435,8 @@ class AutoSampling:
                 return longer
         half = max(each.relative_half_width for each in found)
         if not math.isfinite(half):
-            return replace(method, final_rollouts=least)
+            last = left if math.isfinite(self.limits.most_in_all) else least
+            return replace(method, final_rollouts=max(last, least))
         wanted = self._wanted(drawn, half)
         if inner.explored is not None:
             wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
@@ -572,7 +583,7 @@ def _proposing_step(
 def _searching_less(method: MixtureSampling, within: int) -> MixtureSampling:
     """The method where no more than ``within`` rollouts are left."""
     chains = min(method.chains, within // (2 * CHAINS_COST))
-    chains = chains if chains >= FEWEST_ROLLOUTS else 0
+    chains = chains if chains >= min(FEWEST_ROLLOUTS, method.chains) else 0
     left = within - FEWEST_STAGES * method.rollouts
     by_chains = min(within // 2, left) if chains else 0
     moves = min(int(SHARE * within), left - by_chains)

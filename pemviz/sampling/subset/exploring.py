@@ -53,8 +53,11 @@ def explore(
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(repetition, SPAWN_KEY)).spawn(RUNS + 1)
     first, *others = (np.random.default_rng(one) for one in seeds)
+    each = most / (1 + FEWEST_RUNS)
+    if each < rollouts:
+        return Explored(None, np.empty(0), np.empty(0), 0)
     prepared, simulated = SubsetSimulation().prepare(
-        problem, count=rollouts, generator=first, most=most / (1 + FEWEST_RUNS)
+        problem, count=rollouts, generator=first, most=each
     )
     affordable = (most - simulated) / prepared.most_rollouts(rollouts)
     if prepared.is_cut_off or affordable < FEWEST_RUNS:
