@@ -51,37 +51,48 @@ LARGEST_STEP = 2.0
 """Of a coefficient of the choice in a round."""
 
 
-def fit_start(start: FloatArray, weight: FloatArray, *, ridge: float) -> StartMoves:
+def fit_start(
+    start: FloatArray, weight: FloatArray, *, ridge: float, independent: float = 1.0
+) -> StartMoves:
     """The moves nearest to starts ``[N, S]`` of weights ``[N]``, not negative.
 
     So many starts at 0 as ``ridge`` says, above 0, count beside those that means are fitted to.
+    As errors of means and spreads, those of ``independent`` times as many starts are taken: of
+    chains' starts, a few families of neighbours, most are much like others.
     """
-    return _drawn_together(start, weight, ridge=ridge)[0]
+    return _drawn_together(start, weight, ridge=ridge, independent=independent)[0]
 
 
 def _drawn_together(
-    start: FloatArray, weight: FloatArray, *, ridge: float
+    start: FloatArray, weight: FloatArray, *, ridge: float, independent: float
 ) -> tuple[StartMoves, Shrinkage, Shrinkage]:
     """The same, and how means and logs of spreads are drawn together."""
     total = float(weight.sum())
     mean = weight @ start / (total + ridge)
     spread = _start_spread(weight @ (start - mean) ** 2, total)
-    of_means = shrinkage(mean, spread**2 / (total + ridge))
+    if independent < 1.0:
+        spread = np.maximum(spread, 1.0)  # neighbours do not show how far families are apart
+    of_means = shrinkage(mean, spread**2 / (independent * total + ridge))
     mean = of_means.of(mean)
     log_spread = np.log(_start_spread(weight @ (start - mean) ** 2, total))
-    error = np.full(mean.size, 0.5 / (total + START_SPREAD_RIDGE))
+    error = np.full(mean.size, 0.5 / (independent * total + START_SPREAD_RIDGE))
     of_spreads = shrinkage(log_spread, error)
     return StartMoves(mean, np.exp(of_spreads.of(log_spread))), of_means, of_spreads
 
 
 def start_optimism(
-    moves: StartMoves, start: FloatArray, weight: FloatArray, *, ridge: float
+    moves: StartMoves,
+    start: FloatArray,
+    weight: FloatArray,
+    *,
+    ridge: float,
+    independent: float = 1.0,
 ) -> FloatArray:
     """By how much each start is likelier than if the fit had been made without it, ``[N]`` [nats].
 
     ``moves`` are those fitted by :func:`fit_start` with the other arguments.
     """
-    _, of_means, of_spreads = _drawn_together(start, weight, ridge=ridge)
+    _, of_means, of_spreads = _drawn_together(start, weight, ridge=ridge, independent=independent)
     own = weight[:, None]
     total = (float(weight.sum()) - own).clip(0.0)
     sums, squares = weight @ start - own * start, weight @ start**2 - own * start**2
@@ -99,7 +110,7 @@ def _start_spread(squares: FloatArray, total: FloatArray | float) -> FloatArray:
 
 
 def fit_means(
-    latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray
+    latents: LatentDecisions, weight: FloatArray, *, ridge: FloatArray, independent: float = 1.0
 ) -> tuple[LatentMeans, FloatArray, FloatArray]:
     """The means nearest to weighted rollouts' latents.
 
@@ -110,6 +121,8 @@ def fit_means(
         latents: Of N rollouts.
         weight: ``[N]``, not negative.
         ridge: Penalty of each coefficient, above 0, ``[B]``.
+        independent: As how large a share of the rollouts so many independent ones would tell as
+            much of starts, above 0, at most 1.
 
     Returns:
         The means; by how much the log likelihood of each rollout's start would fall without it,
@@ -120,9 +133,12 @@ def fit_means(
     fitting = _NoiseFit(latents.of(rollouts), weight[rollouts], ridge)
     start, own = fitting.latents.start, fitting.weight
     best = LatentMeans.unmoved(start=start.shape[1], noise=latents.noise.shape[1], basis=ridge.size)
-    best = replace(best, start=fit_start(start, own, ridge=float(ridge[0])))
+    least = float(ridge[0])
+    best = replace(best, start=fit_start(start, own, ridge=least, independent=independent))
     at_start, of_noise = np.zeros(weight.size), np.zeros(weight.size)
-    at_start[rollouts] = start_optimism(best.start, start, own, ridge=float(ridge[0]))
+    at_start[rollouts] = start_optimism(
+        best.start, start, own, ridge=least, independent=independent
+    )
     if best.noise.size:
         few = fitting.of_few()
         best = _best_of_beginnings(best, few)

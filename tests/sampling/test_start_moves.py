@@ -145,6 +145,24 @@ def test_moves_in_many_dimensions_are_learned_from_fewer_starts_than_dimensions(
     assert np.exp(-moves.log_ratio(others)).mean() < 1.5 * exactly
 
 
+def test_families_of_neighbours_count_as_few():
+    """Three families of 60 each beyond a plane, as chains leave them: 180 starts tell as 3 do.
+
+    What is lacking from how likely others beyond it are is what a proposal would be off by [nats].
+    """
+    generator = np.random.default_rng(8)
+    heads = beyond_plane(3, 100, 5.0, generator)
+    start = np.repeat(heads, 60, axis=0) + 0.1 * generator.standard_normal((180, 100))
+    others = beyond_plane(2_000, 100, 5.0, generator)
+    taken_as = [
+        fit_start(start, np.ones(180), ridge=0.01, independent=share) for share in (1.0, 3 / 180)
+    ]
+    alike, few = (moves.log_ratio(others).mean() for moves in taken_as)
+    best = 0.5 * 5.0**2
+    assert alike < best - 10.0
+    assert few > best - 1.0
+
+
 def test_what_a_fit_takes_from_its_starts_is_what_others_lack():
     """Means over 20 fits in 30 dimensions, of log likelihoods, within five standard errors."""
     generator = np.random.default_rng(8)

@@ -81,6 +81,7 @@ def explored_fits(
     """A proposal for each failure mode among what the chains found."""
     if explored.scored is None:
         return ()
+    settings = replace(settings, independent=explored.independent)
     # all count alike: by what its run found, one run's would hide the modes that others met
     return tuple(_fits_to_modes(_all_alike(explored.scored, terms), basis, settings))
 

@@ -83,12 +83,15 @@ class FitSettings:
         ridge: Penalty of the coefficients of degree 1; each further degree doubles it.
         alpha: Exponent of the weights; ``None``: by their effective sample size.
         sigma: Elites of a level above 0 are 1 - sigma of the rollouts, and ``elites`` at least.
+        independent: As how large a share of the rollouts so many independent ones would tell as
+            much.
     """
 
     elites: int = 10
     ridge: float = 0.3
     alpha: float | None = None
     sigma: float = 0.95
+    independent: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -416,7 +419,9 @@ def fitted(
     if pool.latents is not None:
         of_noise = _noise_ridge(basis, settings, of_state=BLIND if blind else 1.0)
         latents = pool.latents.where(pool.open_noise)
-        means, of_start, first_order = fit_means(latents, weight, ridge=of_noise)
+        means, of_start, first_order = fit_means(
+            latents, weight, ridge=of_noise, independent=settings.independent
+        )
         # Where few rollouts carry the fit, of a mean fitted by least squares in which a rollout
         # has the share h: its residual e is e / (1 - h) without it, so that the square grows by
         # (2 h - h^2) / (1 - h)^2, not by 2 h

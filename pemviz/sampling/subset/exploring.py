@@ -32,12 +32,15 @@ class Explored:
         log_weight: Of each, by what its run found in all, ``[E]`` [nats].
         log_probability: What each run found, without bias, ``[R]`` [nats]; -inf: nothing violated.
         simulated: Rollouts that it took.
+        independent: As how large a share of the violations so many independent ones would tell as
+            much: those of one ancestor are much alike.
     """
 
     scored: ScoredRollouts | None
     log_weight: FloatArray
     log_probability: FloatArray
     simulated: int
+    independent: float = 1.0
 
 
 def explore(
@@ -75,5 +78,9 @@ def explore(
         if few.size:
             parts.append(run.scored.take(few))
             log_weight.append(np.full(few.size, run.log_probability - math.log(few.size)))
-    scored = ScoredRollouts.concatenate(parts) if parts else None
-    return Explored(scored, np.concatenate(log_weight), log_probability, simulated)
+    found = np.concatenate(log_weight)
+    if not parts:
+        return Explored(None, found, log_probability, simulated)
+    families = sum(1.0 / run.common_ancestry for run in runs if run.scored.violated.any())
+    scored, independent = ScoredRollouts.concatenate(parts), min(families / found.size, 1.0)
+    return Explored(scored, found, log_probability, simulated, independent)
