@@ -269,6 +269,26 @@ def test_a_limit_that_nothing_violates_within_is_spent_and_named():
     assert "and stopped by max_rollouts 3000" in summary_text(result)
 
 
+@pytest.mark.parametrize("limit_m", [2.5, 60.0])
+def test_what_chains_have_found_is_not_searched_for_again(limit_m):
+    """A run that goes on simulates the violations that were found alone, or none."""
+    drift = CountedDrift(states=9, miss_m=0.3, begun=[])
+    config = ExperimentConfig(
+        method="auto", spec=drift.spec(limit_m), precision=0.3, rollouts=20, final_rollouts=20
+    )
+    whole = build_experiment(config, simulator=drift, pem=ConstantPem(0.1))
+    state, results = stepped_through(whole.method, whole.problem)
+    stops = next(n for n, result in enumerate(results) if "explored.simulated" in result.kept) + 1
+    kept, after = results[stops - 1].kept, results[stops:]
+    drift.begun.clear()
+    again, _ = stepped_through(whole.method, restoring(whole, results[:stops]))
+    assert whole.method.estimate(again) == whole.method.estimate(state)
+    found, moved = (len(kept.get(f"{name}.outcomes", ())) for name in ("explored", "moved"))
+    assert sum(drift.begun) == simulated_in(after) + found + moved
+    assert (found > 0) == (limit_m < 10.0)
+    assert found < 0.2 * kept["explored.simulated"]
+
+
 @pytest.mark.parametrize(("repetitions", "most"), [(1, 1_700), (4, 1_200)])
 @pytest.mark.parametrize("system", [RARE, OFTEN])
 def test_a_limit_is_one_of_all_repetitions(system, repetitions, most):

@@ -176,8 +176,9 @@ class MixtureSampling:
             sampled_from=stages.main_proposal(state, steps=steps) or PemProposal(),
             sampled=sampled.sampled,
         )
-        if state.on_surrogate is not None and state.stage == 0:
-            result = replace(result, kept={**result.kept, **state.on_surrogate.kept})
+        for found in (state.on_surrogate, state.explored) if state.stage == 0 else ():
+            if found is not None:
+                result = replace(result, kept={**result.kept, **found.kept})
         if last:
             return advanced, result
         result = replace(result, kept={**result.kept, **state.rejuvenated.kept})
@@ -280,8 +281,13 @@ class MixtureSampling:
         )
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
+        watched, finished = stages.watching(problem), problem.finished(state.repetition, 0)
+        if finished is not None:
+            found = Explored.of_kept(watched, finished.kept)
+            if found is not None:
+                return found
         return explore(
-            stages.watching(problem),
+            watched,
             rollouts=self.chains,
             most=self.most_by_chains,
             seed=self.seed,

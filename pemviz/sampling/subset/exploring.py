@@ -5,14 +5,17 @@ model's probability.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from pemviz.arrays import FloatArray
+from pemviz.arrays import AnyArray, FloatArray
 from pemviz.faults import of_no_rollouts
-from pemviz.sampling.problem import Problem
-from pemviz.sampling.subset.run import SubsetSimulation
+from pemviz.sampling.problem import Problem, score
+from pemviz.sampling.subset.moves import RandomNumbers
+from pemviz.sampling.subset.rejuvenation import violating
+from pemviz.sampling.subset.run import SubsetSimulation, simulated_from
 from pemviz.types import ScoredRollouts
 
 RUNS, FEWEST_RUNS = 4, 2
@@ -21,6 +24,9 @@ APART = 2
 """One in so many of the violations is kept: neighbours in a chain are nearly the same."""
 SPAWN_KEY = 2**32 - 3
 """Of the child of a repetition's seed that chains are sampled by."""
+KEPT = "explored."
+FIGURES = "log_weight", "log_probability", "simulated", "independent"
+NUMBERS = "outcomes", "start", "noise"
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,7 @@ class Explored:
         simulated: Rollouts that it took.
         independent: As how large a share of the violations so many independent ones would tell as
             much: those of one ancestor are much alike.
+        numbers: Of which the violations come; ``None`` where there are none.
     """
 
     scored: ScoredRollouts | None
@@ -41,6 +48,40 @@ class Explored:
     log_probability: FloatArray
     simulated: int
     independent: float = 1.0
+    numbers: RandomNumbers | None = None
+
+    @property
+    def kept(self) -> dict[str, AnyArray]:
+        """What a run that goes on takes up, by name."""
+        own = {name: np.asarray(getattr(self, name)) for name in FIGURES}
+        if self.numbers is not None:
+            own |= {name: getattr(self.numbers, name) for name in NUMBERS}
+        return {f"{KEPT}{name}": values for name, values in own.items()}
+
+    @staticmethod
+    def of_kept(problem: Problem, kept: Mapping[str, AnyArray]) -> "Explored | None":
+        """What was kept, its violations simulated again; ``None`` if nothing was.
+
+        Raises:
+            SimulationError: As :func:`explore`.
+        """
+        own = {name.removeprefix(KEPT): values for name, values in kept.items()}
+        if not all(f"{KEPT}{name}" in kept for name in FIGURES):
+            return None
+        scored = numbers = None
+        if "outcomes" in own:
+            numbers = RandomNumbers(**{name: own[name] for name in NUMBERS})
+            with of_no_rollouts():  # of the stage that comes after
+                rollouts, _ = simulated_from(problem, numbers)
+            scored = score(problem, rollouts)
+        return Explored(
+            scored,
+            own["log_weight"],
+            own["log_probability"],
+            int(own["simulated"]),
+            float(own["independent"]),
+            numbers,
+        )
 
 
 def explore(
@@ -83,4 +124,5 @@ def explore(
         return Explored(None, found, log_probability, simulated)
     families = sum(1.0 / run.common_ancestry for run in runs if run.scored.violated.any())
     scored, independent = ScoredRollouts.concatenate(parts), min(families / found.size, 1.0)
-    return Explored(scored, found, log_probability, simulated, independent)
+    numbers = violating(problem, scored.rollouts, first).numbers
+    return Explored(scored, found, log_probability, simulated, independent, numbers)
