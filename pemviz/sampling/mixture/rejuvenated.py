@@ -51,7 +51,6 @@ MOST_LOOKED_AT, MOST_TRIED = 1_000, 40
 SPAWN_KEY = 2**32 - 4
 """Of the children of a repetition's seed that violations are moved by."""
 KEPT, SIMULATED = "moved.", "moved.simulated"
-NUMBERS = "outcomes", "start", "noise"
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Rejuvenated:
         )
         own: dict[str, AnyArray] = {SIMULATED: np.array(simulated)}
         if moved is not None:
-            own |= {f"{KEPT}{name}": getattr(moved.numbers, name) for name in NUMBERS}
+            own |= moved.numbers.kept(KEPT)
             own |= {f"{KEPT}needed": moved.needed, f"{KEPT}done": moved.done}
         return self._with(problem, moved, own)
 
@@ -176,7 +175,7 @@ class Rejuvenated:
             return replace(self, kept={})
         if f"{KEPT}needed" not in own:
             return self._with(problem, None, own)
-        numbers = RandomNumbers(**{name: own[f"{KEPT}{name}"] for name in NUMBERS})
+        numbers = RandomNumbers.of_kept(own, KEPT)
         with of_no_rollouts():  # of the stage
             rollouts, _ = simulated_from(problem, numbers)
         moved = Moved(numbers, rollouts, own[f"{KEPT}needed"], own[f"{KEPT}done"])

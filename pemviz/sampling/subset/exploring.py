@@ -26,7 +26,6 @@ SPAWN_KEY = 2**32 - 3
 """Of the child of a repetition's seed that chains are sampled by."""
 KEPT = "explored."
 FIGURES = "log_weight", "log_probability", "simulated", "independent"
-NUMBERS = "outcomes", "start", "noise"
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,8 @@ class Explored:
     @property
     def kept(self) -> dict[str, AnyArray]:
         """What a run that goes on takes up, by name."""
-        own = {name: np.asarray(getattr(self, name)) for name in FIGURES}
-        if self.numbers is not None:
-            own |= {name: getattr(self.numbers, name) for name in NUMBERS}
-        return {f"{KEPT}{name}": values for name, values in own.items()}
+        own = {f"{KEPT}{name}": np.asarray(getattr(self, name)) for name in FIGURES}
+        return own if self.numbers is None else own | self.numbers.kept(KEPT)
 
     @staticmethod
     def of_kept(problem: Problem, kept: Mapping[str, AnyArray]) -> "Explored | None":
@@ -65,22 +62,19 @@ class Explored:
         Raises:
             SimulationError: As :func:`explore`.
         """
-        own = {name.removeprefix(KEPT): values for name, values in kept.items()}
         if not all(f"{KEPT}{name}" in kept for name in FIGURES):
             return None
+        log_weight, log_probability, simulated, independent = (
+            kept[f"{KEPT}{name}"] for name in FIGURES
+        )
         scored = numbers = None
-        if "outcomes" in own:
-            numbers = RandomNumbers(**{name: own[name] for name in NUMBERS})
+        if log_weight.size:
+            numbers = RandomNumbers.of_kept(kept, KEPT)
             with of_no_rollouts():  # of the stage that comes after
                 rollouts, _ = simulated_from(problem, numbers)
             scored = score(problem, rollouts)
         return Explored(
-            scored,
-            own["log_weight"],
-            own["log_probability"],
-            int(own["simulated"]),
-            float(own["independent"]),
-            numbers,
+            scored, log_weight, log_probability, int(simulated), float(independent), numbers
         )
 
 

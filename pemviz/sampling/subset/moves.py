@@ -18,12 +18,14 @@ small move leads there. As that may leave scores as they are, it has a share of 
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
-from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
+from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray
 
 MOST_PLACES = 32
 """Along a rollout, at which a window of steps that is moved begins."""
@@ -61,6 +63,15 @@ class RandomNumbers(Batch):
     def each(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The three arrays."""
         return self.outcomes, self.start, self.noise
+
+    def kept(self, prefix: str) -> dict[str, AnyArray]:
+        """As they are kept beside a stage."""
+        return {f"{prefix}{field.name}": getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def of_kept(cls, kept: Mapping[str, AnyArray], prefix: str) -> Self:
+        """What was kept so."""
+        return cls(**{field.name: kept[f"{prefix}{field.name}"] for field in fields(cls)})
 
 
 @dataclass(frozen=True)
