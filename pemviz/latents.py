@@ -6,7 +6,8 @@ their means; with z a latent drawn with mean m, its part of a rollout's weight i
 
     log p(z) - log q(z) = -z^2 / 2 + (z - m)^2 / 2
 
-or, where it changes spreads or moves some steps' noise alone, what :class:`Latents` says.
+or, where it changes spreads or moves some steps' noise alone, what :class:`Latents` says, and of
+starts what drew them (:class:`pemviz.proposals.start_moves.StartMoves`).
 """
 
 from dataclasses import dataclass
@@ -83,37 +84,32 @@ class Latents(Batch):
     An error that has to be above a limit far out is a little above it: the smaller s is, the more
     of the moved noise lies there, while the rest of it has the model's own tail. Where n is m and j
     a half, both lie around the same; or a few steps are moved far, to n, and others a little, to m.
-    The latents at the start are always moved, around one mean: c is 1 there, j a half.
 
     Attributes:
         start: ``[N, S]``, seeds after them, standard normal under the model.
         start_mean: ``[N, S]``; 0 where nothing is moved.
-        start_sd: ``[N, S]``, 1 unless a proposal says otherwise.
+        start_log_weight: Log p - log q of the start, ``[N]`` [nats].
         noise: ``[N, T-1, M]``, likewise; steps are those of the scenario.
         noise_mean: ``[N, T-1, M]``.
         noise_share: ``[N, T-1]``, 1 unless a proposal says less.
         noise_sd: ``[N, T-1, M]``, 1 unless a proposal says less.
         noise_narrow_mean: That of what has this spread, ``[N, T-1, M]``; ``None``: the same.
         noise_narrow_share: How much of the moved noise that is, ``[N, T-1]``; ``None``: half.
-        start_choice: Log p - log q of the start ``[N]`` where a proposal chooses it among others
-            and moves no mean; ``None`` elsewhere.
     """
 
     start: FloatArray
     start_mean: FloatArray
-    start_sd: FloatArray
+    start_log_weight: FloatArray
     noise: FloatArray
     noise_mean: FloatArray
     noise_share: FloatArray
     noise_sd: FloatArray
     noise_narrow_mean: FloatArray | None = None
     noise_narrow_share: FloatArray | None = None
-    start_choice: FloatArray | None = None
 
     @cached_property
     def log_weight(self) -> FloatArray:
         """Sum over all latents of log p - log q, ``[N]`` [nats]."""
-        of_start = log_moved(self.start, self.start_mean, self.start_sd)
         moved = log_moved(
             self.noise,
             self.noise_mean,
@@ -122,8 +118,7 @@ class Latents(Batch):
             narrow_share=self.noise_narrow_share,
         )
         of_noise = row_sums(log_share_moved(moved, self.noise_share))
-        of_choice = 0.0 if self.start_choice is None else self.start_choice
-        return read_only(np.asarray(of_choice - of_start - of_noise))
+        return read_only(np.asarray(self.start_log_weight - of_noise))
 
 
 def log_moved(
@@ -154,10 +149,15 @@ def log_wide_and_narrow(
 
     Without ``narrow_mean``, n is m.
     """
-    wide = np.sum(mean * (noise - 0.5 * mean), axis=-1)
+    wide = log_shifted(noise, mean)
     around = mean if narrow_mean is None else narrow_mean
     narrow = 0.5 * noise**2 - 0.5 * ((noise - around) / sd) ** 2 - np.log(sd)
     return wide, np.sum(narrow, axis=-1)
+
+
+def log_shifted(values: FloatArray, mean: FloatArray) -> FloatArray:
+    """Log of N(z; m, 1) over N(z; 0, 1), ``[...]`` of values and means ``[..., M]``."""
+    return np.sum(mean * (values - 0.5 * mean), axis=-1)
 
 
 def log_share_moved(log_ratio: FloatArray, share: FloatArray | float) -> FloatArray:

@@ -25,13 +25,12 @@ def rollouts(generator, count):
         proposal_logit=generator.normal(size=shape).T,
         latents=Latents(
             *(generator.normal(size=(2, count)).T for _ in range(2)),
-            generator.random(size=(2, count)).T,
+            generator.normal(size=count),
             *(generator.normal(size=(2, STATES - 1, count)).T for _ in range(2)),
             generator.random(size=shape).T,
             generator.random(size=(2, STATES - 1, count)).T,
             generator.normal(size=(2, STATES - 1, count)).T,
             generator.random(size=shape).T,
-            generator.normal(size=count),
         ),
     )
 

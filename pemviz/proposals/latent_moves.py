@@ -1,13 +1,6 @@
 """How a proposal moves latents; :mod:`pemviz.proposals.latent_moves_fit` fits it.
 
-Latents at the start get a constant mean each, and spreads for half of the rollouts: a violation may
-need a start that is rare by itself, and the starts that it needs lie closer to each other than
-those of the model do. With z, m and s vectors,
-
-    q(z) = (N(z; m, 1) + N(z; m, s^2)) / 2
-
-so that half keeps the model's own spread, and no weight grows without bound where s is too small.
-Where violations lie on all sides s is above 1.
+Latents at the start get means and spreads (:mod:`pemviz.proposals.start_moves`).
 
 Latents of a step get, with a probability c, means that are a polynomial of the state, else none
 (:class:`pemviz.latents.Latents`): c near 1 moves every step a little, a small c few steps far. The
@@ -42,6 +35,7 @@ from scipy.special import expit
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray, Rows, log_sum_exp
 from pemviz.latents import log_moved, log_share_moved
 from pemviz.proposals.offset_logistic import Monomials
+from pemviz.proposals.start_moves import StartMoves
 
 NEVER = 0.03
 """Of rollouts, with no step moved where all steps are as likely."""
@@ -183,27 +177,6 @@ def log_joint(
     return each, np.asarray(log_sum_exp(np.hstack([largest, never[:, None]]), axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class StartMoves:
-    """Means and spreads of the latents at the start.
-
-    Attributes:
-        mean: ``[S]``; of N rollouts each its own, ``[N, S]``.
-        sd: Spreads of half of the rollouts, likewise; 1 is that of the model.
-    """
-
-    mean: FloatArray
-    sd: FloatArray
-
-    def rows(self, rows: slice) -> "StartMoves":
-        """Of some of the rollouts."""
-        return StartMoves(self.mean[rows], self.sd[rows])
-
-    def log_ratio(self, start: FloatArray) -> FloatArray:
-        """Log q / p of starts ``[N, S]``, ``[N]`` [nats]."""
-        return log_moved(start, self.mean, self.sd)
-
-
 @dataclass(frozen=True)
 class NoiseMoves:
     """How the noise of a step of N rollouts is moved, see :class:`pemviz.latents.Latents`.
@@ -245,7 +218,7 @@ class LatentMeans:
     @staticmethod
     def unmoved(*, start: int, noise: int, basis: int) -> "LatentMeans":
         """Means of 0 and spreads of 1, for S latents at the start, M of a step and B monomials."""
-        at_start = StartMoves(np.zeros(start), np.ones(start))
+        at_start = StartMoves.unmoved(start)
         return LatentMeans(at_start, np.zeros((noise, basis)), np.zeros(basis), np.ones(noise))
 
     @property
@@ -287,6 +260,8 @@ class LatentMeans:
         return {
             "start_mean": self.start.mean,
             "start_sd": self.start.sd,
+            "start_axes": self.start.axes,
+            "start_along": self.start.along,
             "noise_coefficients": self.noise,
             "noise_choice": self.choice,
             "noise_sd": self.sd,

@@ -1,8 +1,5 @@
 """Fits of how a proposal moves latents, by expectation and maximisation.
 
-Of many latents at the start most means and spreads are alike; each fitted to its own values would
-be off by so much that together they hardly sample others (:mod:`pemviz.proposals.shrinkage`).
-
 Moves of a step's noise (Dempster, Laird, Rubin 1977), with r the probability that it was moved, a
 that it could be, mu the means, w weights:
 
@@ -27,17 +24,13 @@ from pemviz.latents import log_wide_and_narrow
 from pemviz.proposals.latent_moves import (
     LatentDecisions,
     LatentMeans,
-    StartMoves,
     choice_logit,
     log_joint,
     narrow_moves,
     noise_means,
 )
-from pemviz.proposals.shrinkage import Shrinkage, shrinkage
+from pemviz.proposals.start_moves import LEAST_SPREAD, fit_start, start_optimism
 
-START_SPREAD_RIDGE = 5.0
-"""So many starts of spread 1 count beside those that a spread is fitted to."""
-LEAST_SPREAD, LARGEST_SPREAD = 0.2, 3.0
 SPREAD_RIDGE = 0.5
 """So many moved steps of spread 1 count beside those that a spread is fitted to."""
 ROUNDS, ROUNDS_APART, LAST_ROUNDS = 8, 40, 3
@@ -49,64 +42,6 @@ LEAST_GAIN = 0.2
 """By so much likelier rollouts that were left out must be where narrow noise is apart [nats]."""
 LARGEST_STEP = 2.0
 """Of a coefficient of the choice in a round."""
-
-
-def fit_start(
-    start: FloatArray, weight: FloatArray, *, ridge: float, independent: float = 1.0
-) -> StartMoves:
-    """The moves nearest to starts ``[N, S]`` of weights ``[N]``, not negative.
-
-    So many starts at 0 as ``ridge`` says, above 0, count beside those that means are fitted to.
-    As errors of means and spreads, those of ``independent`` times as many starts are taken: of
-    chains' starts, a few families of neighbours, most are much like others.
-    """
-    return _drawn_together(start, weight, ridge=ridge, independent=independent)[0]
-
-
-def _drawn_together(
-    start: FloatArray, weight: FloatArray, *, ridge: float, independent: float
-) -> tuple[StartMoves, Shrinkage, Shrinkage]:
-    """The same, and how means and logs of spreads are drawn together."""
-    total = float(weight.sum())
-    mean = weight @ start / (total + ridge)
-    spread = _start_spread(weight @ (start - mean) ** 2, total)
-    if independent < 1.0:
-        spread = np.maximum(spread, 1.0)  # neighbours do not show how far families are apart
-    of_means = shrinkage(mean, spread**2 / (independent * total + ridge))
-    mean = of_means.of(mean)
-    log_spread = np.log(_start_spread(weight @ (start - mean) ** 2, total))
-    error = np.full(mean.size, 0.5 / (independent * total + START_SPREAD_RIDGE))
-    of_spreads = shrinkage(log_spread, error)
-    return StartMoves(mean, np.exp(of_spreads.of(log_spread))), of_means, of_spreads
-
-
-def start_optimism(
-    moves: StartMoves,
-    start: FloatArray,
-    weight: FloatArray,
-    *,
-    ridge: float,
-    independent: float = 1.0,
-) -> FloatArray:
-    """By how much each start is likelier than if the fit had been made without it, ``[N]`` [nats].
-
-    ``moves`` are those fitted by :func:`fit_start` with the other arguments.
-    """
-    _, of_means, of_spreads = _drawn_together(start, weight, ridge=ridge, independent=independent)
-    own = weight[:, None]
-    total = (float(weight.sum()) - own).clip(0.0)
-    sums, squares = weight @ start - own * start, weight @ start**2 - own * start**2
-    mean = of_means.of(sums / (total + ridge))
-    around_mean = (squares - 2.0 * mean * sums + total * mean**2).clip(0.0)
-    log_spread = np.log(_start_spread(around_mean, total))
-    without = StartMoves(mean, np.exp(of_spreads.of(log_spread)))
-    return (moves.log_ratio(start) - without.log_ratio(start)).clip(0.0)
-
-
-def _start_spread(squares: FloatArray, total: FloatArray | float) -> FloatArray:
-    """From sums of weighted squares and of the weights."""
-    variance = (squares + START_SPREAD_RIDGE) / (total + START_SPREAD_RIDGE)
-    return np.sqrt(variance).clip(LEAST_SPREAD, LARGEST_SPREAD)
 
 
 def fit_means(

@@ -42,10 +42,10 @@ class KeptRollout:
             one name ``""``.
         log_p: ``[T-1]`` log likelihood of the outcomes under the error model [nats], likewise.
         log_q: ``[T-1]`` the same under the distribution that they were sampled from [nats].
-        latents: Of a scenario that takes some: ``start``, the means ``start_mean`` and spreads
-            ``start_sd`` that it was sampled with ``[S]``, ``noise``, ``noise_mean``, ``noise_sd``
-            and ``noise_narrow_mean`` ``[T-1, M]``, ``noise_share`` and ``noise_narrow_share``
-            ``[T-1]``.
+        latents: Of a scenario that takes some: ``start``, the means ``start_mean`` that it was
+            sampled with ``[S]``, ``start_log_weight`` ``[]``, ``noise``, ``noise_mean``,
+            ``noise_sd`` and ``noise_narrow_mean`` ``[T-1, M]``, ``noise_share`` and
+            ``noise_narrow_share`` ``[T-1]``.
     """
 
     result: RunResult

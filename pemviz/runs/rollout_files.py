@@ -89,19 +89,16 @@ def latents_of(arrays: Mapping[str, AnyArray]) -> Latents | None:
     count, steps = arrays["detected"].shape[:2]
     columns = {n: np.atleast_1d(found[n]).shape[-1] for n in ("start", "noise") if n in found}
     start, noise = (count, columns.get("start", 0)), (count, steps, columns.get("noise", 0))
-    shapes = {"start": start, "start_mean": start, "start_sd": start}
+    shapes = {"start": start, "start_mean": start, "start_log_weight": start[:1]}
     shapes |= {"noise": noise, "noise_mean": noise, "noise_share": noise[:2], "noise_sd": noise}
-    optional = {
-        "noise_narrow_mean": noise,
-        "noise_narrow_share": noise[:2],
-        "start_choice": start[:1],
-    }
+    optional = {"noise_narrow_mean": noise, "noise_narrow_share": noise[:2]}
     shapes |= {name: shape for name, shape in optional.items() if name in found}
     kept: dict[str, AnyArray] = {}
     for name, shape in shapes.items():
         declared = columns.get(name.partition("_")[0], 0) > 0
-        absent = np.ones(shape) if name.endswith("_sd") else np.empty(0)  # not in older files
-        values = found.get(name, absent) if declared else np.ones(shape)
+        unmoved = np.full(shape, 0.0 if name.endswith("_weight") else 1.0)
+        absent = unmoved if name.endswith("_sd") else np.empty(0)  # not in older files
+        values = found.get(name, absent) if declared else unmoved
         if values.shape != shape or values.dtype != np.float64 or not _is_bounded(values):
             raise ValueError(f"{LATENTS}{name} must be finite numbers of shape {shape}")
         if name.endswith("_share") and np.any((values < 0.0) | (values > 1.0)):

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
@@ -211,10 +210,7 @@ def test_weights_and_shares_count_latents(controller):
     narrow = np.exp((0.5 * z**2 - 0.5 * ((z - around) / sd) ** 2).sum(axis=2)) / sd.prod(axis=2)
     moved = j * narrow + (1.0 - j) * np.exp((mean * (z - 0.5 * mean)).sum(axis=2))
     of_latents = -np.log1p(share * (moved - 1.0)).sum(axis=1)
-    begun, moved_by, sd = (table[f"latents.{n}"] for n in ("start", "start_mean", "start_sd"))
-    narrow = norm.pdf(begun, moved_by, sd).prod(axis=1)
-    drawn_from = 0.5 * narrow + 0.5 * norm.pdf(begun, moved_by).prod(axis=1)
-    of_latents = of_latents + norm.logpdf(begun).sum(axis=1) - np.log(drawn_from)
+    of_latents = of_latents + table["latents.start_log_weight"]
     assert np.abs(of_latents).max() > 1.0
     np.testing.assert_allclose(run.log_weight, of_outcomes + of_latents, rtol=1e-9, atol=1e-9)
     stored = load_run(run.folder)
@@ -227,7 +223,8 @@ def test_weights_and_shares_count_latents(controller):
         ("noise_narrow_mean", around * np.nan, "must be finite numbers of shape"),
         ("noise_share", share + 1.0, "must be from 0 to 1"),
         ("noise_narrow_share", j - 1.0, "must be from 0 to 1"),
-        ("start_sd", 0.0 * sd, "must be above 0"),
+        ("noise_sd", 0.0 * sd, "must be above 0"),
+        ("start_log_weight", np.full(len(z), np.inf), "must be finite numbers of shape"),
     ):
         damaged = {**table, f"latents.{name}": values}
         with pytest.raises(InputError, match=rf"latents\.{name} {said}"):

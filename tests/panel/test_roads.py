@@ -162,7 +162,7 @@ def test_the_rollout_shown_has_the_robustness_of_each_rule_and_its_start_in_word
     start = np.array([[0.5]] * 60)
     noise = np.zeros((60, 40, 1))
     still = 0.0 * start
-    latents = Latents(start, still, still + 1.0, noise, noise, noise[..., 0], noise + 1.0)
+    latents = Latents(start, still, still[:, 0], noise, noise, noise[..., 0], noise + 1.0)
     arrays = {f"latents.{field.name}": getattr(latents, field.name) for field in fields(Latents)}
     kept = {name: values for name, values in arrays.items() if values is not None}
     with_latents = replace(shown, parts=(table | kept,))

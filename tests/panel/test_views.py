@@ -79,7 +79,8 @@ def test_rollouts_that_latents_carry_beyond_agms_bounds_are_ranked_all_the_same(
     for name, gap_m in (("kept", 25.0), ("left", 25.2)):
         table[name] = np.array(table["gap_m"])
         table[name][safe, 3] = gap_m
-    drawn = {"latents.start": np.zeros((60, 1)), "latents.start_mean": np.zeros((60, 1))}
+    drawn = {f"latents.{name}": np.zeros((60, 1)) for name in ("start", "start_mean")}
+    drawn["latents.start_log_weight"] = np.zeros(60)
     left = {**table, "gap_m": table["left"]}
     with pytest.raises(InputError, match="declared bounds"):
         rank(replace(naive_run, parts=(left,)), "agm")

@@ -15,10 +15,10 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.latent_moves import (
     LatentDecisions,
     LatentMeans,
-    StartMoves,
     even_logit,
 )
 from pemviz.proposals.latent_moves_fit import fit_means, scores
+from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.rollout_files import latents_of, load_rollouts
 from pemviz.sampling.problem import sample
 from pemviz.sampling.rollouts.pooled import PooledRunner
@@ -348,7 +348,7 @@ def test_densities_are_densities():
     mild = replace(family, start=0.2 * family.start, mean=0.2 * family.mean)
     ratio = np.exp(mild.log_ratio(start, noise, np.ones((20_000, 3), dtype=np.bool_)))
     assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(20_000))
-    at_start = StartMoves(np.array([0.5]), np.array([0.6]))
+    at_start = StartMoves(np.array([0.5]), np.array([0.6]), np.ones((1, 1)), np.array([1.2]))
     fitted = at_start, np.array([[0.4]]), np.array([0.3]), np.array([0.7])
     rollout, basis = np.repeat(np.arange(20_000), 3), np.ones((60_000, 1))
     even = even_logit(np.tile(np.arange(3), 20_000), steps=3)

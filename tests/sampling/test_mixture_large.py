@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from pemviz.arrays import at_most
 from pemviz.config import ExperimentConfig
-from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans, StartMoves
+from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import Monomials, PolynomialBasis
+from pemviz.proposals.start_moves import StartMoves
 from pemviz.runs.experiment import build_experiment
 from pemviz.sampling.mixture.balance_heuristic import PLAIN, balance_weights, latent_ratios
 from pemviz.sampling.mixture.estimate import disagreements
@@ -240,7 +241,7 @@ def test_latents_of_many_are_judged_in_pieces_alike(once, monkeypatch):
     kept = replace(made, monomials=Monomials(features, basis))
     size = len(basis.exponents)
     means = LatentMeans(
-        start=StartMoves(np.zeros(2), np.ones(2)),
+        start=StartMoves.unmoved(2),
         noise=generator.normal(size=(2, size)),
         choice=generator.normal(size=size),
         sd=np.array([0.4, 0.9]),

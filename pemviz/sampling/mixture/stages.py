@@ -20,11 +20,12 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.config import LostName
 from pemviz.faults import counted_from
+from pemviz.latents import StandardNormals
 from pemviz.proposals import latent_moves
 from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.defensive import share_for
@@ -34,8 +35,9 @@ from pemviz.proposals.exploration import (
     LatentExploration,
     LatentFamily,
 )
-from pemviz.proposals.latent_moves import LatentMeans, NoiseMoves, StartMoves
+from pemviz.proposals.latent_moves import LatentMeans, NoiseMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
+from pemviz.proposals.start_moves import NARROW_SHARE, StartMoves, even_normals
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
@@ -129,7 +131,9 @@ class DividedMoves(DividedProposal):
     Attributes:
         moved: Exploration's; 0 for rollouts that are not exploration proposals. What these move,
             they move always.
-        start: Fitted moves at the start, of each rollout its own, none for exploration proposals.
+        start: Moves at the start, of each rollout its own; of exploration proposals means alone.
+        normals: What starts of fitted ones are made of, and, first, what says which are narrow,
+            ``[N, 1 + S]``; of others nothing that is used.
         noise: Fitted coefficients, ``[N, M, B]``, likewise.
         choice: Fitted coefficients of how often it is moved, ``[N, B]``.
         sd: Spreads of narrow noise, ``[N, M]``, 1 for exploration proposals.
@@ -143,6 +147,7 @@ class DividedMoves(DividedProposal):
 
     moved: LatentExploration
     start: StartMoves
+    normals: FloatArray
     noise: FloatArray
     choice: FloatArray
     sd: FloatArray
@@ -154,11 +159,15 @@ class DividedMoves(DividedProposal):
 
     def start_mean(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
         """Of the latents at the start, ``[N, S]``."""
-        return self.moved.start + self.start.mean
+        return self.start.mean
 
-    def start_sd(self, count: int) -> FloatArray:  # noqa: ARG002  that of all is known
-        """Spreads of half of the starts, ``[N, S]``."""
-        return self.start.sd
+    def chosen_start(self, normals: StandardNormals) -> tuple[FloatArray, FloatArray]:
+        """Latents at the start, seeds included, and their log p - log q."""
+        latents, start = self.normals.shape[1] - 1, normals.start.copy()
+        own = np.where(self.explored[:, None], start[:, :latents], self.normals[:, 1:])
+        choice = np.where(self.explored, normals.spread_choice, self.normals[:, 0])
+        start[:, :latents] = self.start.starts(own, ndtr(choice) < NARROW_SHARE)
+        return start, -self.start.log_ratio(start[:, :latents])
 
     def once(self, count: int) -> BoolArray:  # noqa: ARG002  that of all is known
         """Which rollouts have one step's noise moved at most, ``[N]``."""
@@ -200,6 +209,7 @@ class DividedMoves(DividedProposal):
             super().rows(rows),
             moved=self.moved.rows(rows),
             start=self.start.rows(rows),
+            normals=self.normals[rows],
             noise=self.noise[rows],
             choice=self.choice[rows],
             sd=self.sd[rows],
@@ -400,16 +410,17 @@ def _divided(
         start=counts.start, noise=counts.noise, basis=1 if basis is None else len(basis.exponents)
     )
     means = [fit.means or none if fit else none for fit in fits]
+    moved = family.sampled(count, generator, of=component.size)
+    start = StartMoves.stacked([each.start for each in means])
+    start = replace(start, mean=start.mean + moved.start)
     return DividedMoves(
         exploration,
         fitted,
         explored,
         targets,
-        moved=family.sampled(count, generator, of=component.size),
-        start=StartMoves(
-            np.stack([each.start.mean for each in means]),
-            np.stack([each.start.sd for each in means]),
-        ),
+        moved=moved,
+        start=start,
+        normals=_even_normals(component, start, generator),
         noise=np.stack([each.noise for each in means]),
         choice=np.stack([each.choice for each in means]),
         sd=np.stack([each.sd for each in means]),
@@ -419,6 +430,20 @@ def _divided(
         steps=steps,
         turns=state.turns,
     )
+
+
+def _even_normals(
+    component: IntArray, start: StartMoves, generator: np.random.Generator
+) -> FloatArray:
+    """What starts of each fitted proposal's rollouts are made of, ``[N, 1 + S]``."""
+    found = np.zeros((component.size, 1 + start.mean.shape[1]))
+    if not start.mean.shape[1]:
+        return found
+    for fitted in np.unique(component[component > PLAIN]):
+        rows = component == fitted
+        found[rows] = even_normals(np.count_nonzero(rows), found.shape[1], generator)
+    found[:, 1:] = start.turned(found[:, 1:])
+    return found
 
 
 def defence(steps: int) -> float:

@@ -9,7 +9,7 @@ from scipy.special import expit, ndtr
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
 from pemviz.faults import SimulationError, blame, counted_from
-from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved
+from pemviz.latents import LatentCounts, Latents, StandardNormals, log_moved, log_shifted
 from pemviz.pem.models.protocol import DetectorModel
 from pemviz.proposals.latent_moves import NoiseMoves, log_waiting
 from pemviz.sampling.slots import turns_of
@@ -35,10 +35,6 @@ Tell = Callable[[int, StateBatch, BoolArray, FloatArray | None], None]
 class ShapesLatents(MovesLatents, Protocol):
     """A proposal that says more of how it moves latents."""
 
-    def start_sd(self, count: int) -> FloatArray:
-        """Spreads of half of the starts, ``[N, S]``; 1 is that of the model."""
-        ...
-
     def noise_sd(self, count: int) -> FloatArray:
         """Spreads of narrow noise, ``[N, M]``; 1 is that of the model."""
         ...
@@ -59,8 +55,8 @@ class ShapesLatents(MovesLatents, Protocol):
 class ChoosesStart(Proposal, Protocol):
     """A proposal that chooses where rollouts start."""
 
-    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
+    def chosen_start(self, normals: StandardNormals) -> tuple[FloatArray, FloatArray]:
+        """Latents ``[N, S]`` made of the standard normals, and log p - log q, ``[N]`` [nats]."""
         ...
 
 
@@ -124,18 +120,14 @@ class LatentTrack:
         if isinstance(proposal, MovesLatents):
             moved = proposal.start_mean(count)  # seeds, which come after, stay
             mean[:, : moved.shape[1]] = moved
-        none = np.zeros(normals.noise.shape)
-        shares, one, sd = np.ones((count, steps)), np.ones(none.shape), np.ones(mean.shape)
-        narrow_share = np.zeros(shares.shape)
-        if isinstance(proposal, ShapesLatents):
-            shaped = proposal.start_sd(count)
-            sd[:, : shaped.shape[1]] = shaped
-        narrow = ndtr(normals.spread_choice) < 0.5
-        start = np.where(narrow[:, None], sd * normals.start, normals.start) + mean
-        choice = None
         if isinstance(proposal, ChoosesStart):
-            start, choice = proposal.chosen_start(normals.start)
-        latents = Latents(start, mean, sd, none, none, shares, one, none, narrow_share, choice)
+            start, log_weight = proposal.chosen_start(normals)
+        else:
+            start = normals.start + mean
+            log_weight = -log_shifted(start, mean)
+        none, shares = np.zeros(normals.noise.shape), np.ones((count, steps))
+        one, narrow_share = np.ones(none.shape), np.zeros(shares.shape)
+        latents = Latents(start, mean, log_weight, none, none, shares, one, none, narrow_share)
         blank = latents.map(lambda values: np.array(values, order="F"))
         if isinstance(proposal, ShapesLatents):
             once = proposal.once(count)

@@ -99,8 +99,7 @@ def beginning(problem: Problem, *, count: int, generator: np.random.Generator) -
     latents = None
     if counts:
         still, one = np.ones(noise.shape[:2]), np.ones(noise.shape)
-        no_mean, start_sd = 0.0 * normals, np.ones(normals.shape)
-        latents = Latents(normals, no_mean, start_sd, noise, 0.0 * noise, still, one)
+        latents = Latents(normals, 0.0 * normals, np.zeros(count), noise, 0.0 * noise, still, one)
 
     def first_column(values: AnyArray) -> AnyArray:
         """``[N, T]`` with ``values [N]`` at the first state."""
