@@ -40,7 +40,7 @@ from pemviz.proposals.offset_logistic import StateFeatures
 from pemviz.sampling.bursts import reweighting
 from pemviz.sampling.bursts.reweighting import FittedAround, Given, Sampled, Scenario
 from pemviz.sampling.estimates.diagnostics import not_absorbing, weight_diagnostics
-from pemviz.sampling.estimates.estimators import log_normal_interval, log_stratified_error
+from pemviz.sampling.estimates.estimators import StratifiedError, log_normal_interval
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight
 from pemviz.sampling.estimates.trust import caveats
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size, weight_figures
@@ -332,8 +332,8 @@ def _point(scenario: Scenario, sampled: Sampled, place: int, *, late: slice) -> 
     )
     if not failures:
         return CurvePoint(memory.tau_s, 0.0, None, None, None, wrong, memory.frailty)
-    log_error = log_stratified_error(log_weight, violated, pool.component)
-    relative_error = ADAPTATION * math.exp(log_error - log_mean)
+    error = StratifiedError.of(log_weight, violated, pool.component)
+    relative_error = ADAPTATION * math.exp(error.log_error - log_mean)
     low, high = log_normal_interval(log_mean, relative_error=relative_error)
     wrong = (*wrong, *disagreements(pool, final=late))
     probability = math.exp(log_mean)

@@ -21,22 +21,25 @@ from pemviz.sampling.estimates.diagnostics import (
 from pemviz.sampling.estimates.estimators import (
     ADAPTATION,
     HARD_ADAPTATION,
+    REPLICATES,
     SEARCHED_ADAPTATION,
     SLOTS_AND_STARTS_ADAPTATION,
+    StratifiedError,
     importance_sampling_estimate,
-    log_stratified_error,
     mixture_estimate,
 )
 from pemviz.sampling.estimates.importance_weights import log_mean_failing_weight, log_sum
 from pemviz.sampling.estimates.weight_diagnostics import weight_figures
 from pemviz.sampling.kept import COUNTS, KeptRepetition, Recounted
-from pemviz.sampling.mixture.balance_heuristic import Pool
+from pemviz.sampling.mixture.balance_heuristic import PLAIN, Pool
 from pemviz.sampling.rollouts.large_stages import WeighedRollouts
 from pemviz.types import Diagnostic, Estimate
 
 COMPONENT, LOG_WEIGHT, FINAL_LOG_WEIGHT = "component", "log_weight", "final_log_weight"
 OF_COMPONENT, FINAL_OF_COMPONENT = "of_component", "final_of_component"
 """How many rollouts in all, or of the final batch, are sampled from what a rollout is."""
+REPLICATE = "replicate"
+"""Which rollouts of a proposal have starts that are drawn together; where starts are moved."""
 ERROR_FACTOR = "error_factor"
 """The factor on the standard error, of all alike."""
 NOT_KEPT = -1
@@ -45,6 +48,8 @@ FEW_STARTS = 3
 """So many latents at the start have their sides told apart together, more of them each alone."""
 LEAST_SIDE = 0.1
 """Of the estimate, on a side whose weights are looked at for themselves."""
+FEWEST_REPLICATED = 32
+"""Rollouts of a proposal; fewer are drawn together and taken for independent."""
 PARTS_ADAPTATION = math.sqrt(2.0)
 """Factor on the standard error of a part, which strata of few rollouts tell too small."""
 LogEstimate = tuple[float, float]
@@ -62,6 +67,21 @@ def adaptation(*, turns: int, starts: int, searched: bool, hard: bool) -> float:
     if turns > 1 and starts > 1:
         return SLOTS_AND_STARTS_ADAPTATION
     return SEARCHED_ADAPTATION if searched else ADAPTATION
+
+
+def replicates(component: IntArray) -> IntArray:
+    """Which rollouts of each fitted proposal have starts drawn together, ``[N]``; -1 of others.
+
+    ``component`` is what each was sampled from, ``[N]``, in the order in which they were. Where a
+    proposal's rollouts are sampled in several parts, those of a part that are drawn together get
+    the same number, and others of it get others.
+    """
+    found = np.full(component.size, -1, dtype=np.int64)
+    for fitted in np.unique(component[component > PLAIN]):
+        rows = np.flatnonzero(component == fitted)
+        if rows.size >= FEWEST_REPLICATED:
+            found[rows] = np.arange(rows.size) % REPLICATES
+    return found
 
 
 def columns_of(pool: Pool, *, final: slice, factor: float) -> dict[str, AnyArray]:
@@ -103,10 +123,12 @@ def recounted(kept: KeptRepetition) -> Recounted:
             every, method=kept.method, rollouts_simulated=simulated
         )
         return Recounted(plain, COUNTS)
-    return Recounted(_from_columns(kept, found))
+    return Recounted(_from_columns(kept, found, kept.column(REPLICATE)))
 
 
-def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Estimate:
+def _from_columns(
+    kept: KeptRepetition, columns: Mapping[str, AnyArray], replicate: AnyArray | None
+) -> Estimate:
     """The estimate over as many rollouts as were sampled, of which those that hold only count."""
     final, count, last = kept.in_final, kept.rollouts(), kept.rollouts("final")
     known, first, place = np.unique(columns[COMPONENT], return_index=True, return_inverse=True)
@@ -114,7 +136,7 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
     drawn_first = columns[OF_COMPONENT][first] - drawn_last
     parts = (~final, count - last, drawn_first), (final, last, drawn_last)
 
-    def spread(values: FloatArray, fill: float) -> FloatArray:
+    def spread(values: AnyArray, fill: float) -> AnyArray:
         return np.concatenate([_filled(values[own], size, fill) for own, size, _ in parts])
 
     return mixture_estimate(
@@ -127,6 +149,7 @@ def _from_columns(kept: KeptRepetition, columns: Mapping[str, AnyArray]) -> Esti
                 for own, size, sampled in parts
             ]
         ),
+        replicate=None if replicate is None else spread(replicate, -1),
         log_p=spread(kept.log_p, np.nan),
         frozen_log_weight=_filled(columns[FINAL_LOG_WEIGHT][final], last, np.nan),
         frozen=slice(count - last, None),
@@ -195,7 +218,7 @@ def _sides(pool: Pool) -> Iterator[FloatArray]:
 def _of(log_weight: FloatArray, violated: BoolArray, component: IntArray) -> LogEstimate:
     return (
         log_mean_failing_weight(log_weight, violated),
-        log_stratified_error(log_weight, violated, component),
+        StratifiedError.of(log_weight, violated, component).log_error,
     )
 
 

@@ -60,7 +60,13 @@ from pemviz.sampling.estimates.estimators import mixture_estimate
 from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
-from pemviz.sampling.mixture.estimate import adaptation, columns_of, disagreements
+from pemviz.sampling.mixture.estimate import (
+    REPLICATE,
+    adaptation,
+    columns_of,
+    disagreements,
+    replicates,
+)
 from pemviz.sampling.mixture.explored import (
     against_chains,
     explored_fits,
@@ -364,6 +370,7 @@ class MixtureSampling:
             frozen_log_weight=pool.weights_among(final),
             frozen=final,
             adaptation=_adaptation(state),
+            replicate=replicates(judged.component) if state.starts else None,
         )
         wrong = () if state.absorbing else (not_absorbing(),)
         disagree = disagreements(pool, final=final)
@@ -399,7 +406,10 @@ class MixtureSampling:
         """What each rollout was sampled from, and its weights by the balance heuristic."""
         if state.pool is None:
             return {}
-        return columns_of(state.pool, final=state.final, factor=_adaptation(state))
+        columns = columns_of(state.pool, final=state.final, factor=_adaptation(state))
+        if state.starts:
+            columns[REPLICATE] = replicates(state.pool.component)
+        return columns
 
     def _sampled(self, problem: Problem, state: MixtureState) -> SampledStage:
         """The next stage, as an interrupted run left it or else sampled."""

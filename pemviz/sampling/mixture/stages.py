@@ -38,7 +38,9 @@ from pemviz.proposals.exploration import (
 from pemviz.proposals.latent_moves import LatentMeans, NoiseMoves
 from pemviz.proposals.offset_logistic import OffsetLogisticProposal, PolynomialBasis, StateFeatures
 from pemviz.proposals.start_moves import NARROW_SHARE, StartMoves, even_normals
+from pemviz.sampling.estimates.estimators import REPLICATES
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION, PLAIN, Pool, TargetRules
+from pemviz.sampling.mixture.estimate import replicates
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
@@ -439,8 +441,9 @@ def _even_normals(
     found = np.zeros((component.size, 1 + start.mean.shape[1]))
     if not start.mean.shape[1]:
         return found
-    for fitted in np.unique(component[component > PLAIN]):
-        rows = component == fitted
+    sets = np.where(component > PLAIN, component * (REPLICATES + 1) + replicates(component), -1)
+    for number in np.unique(sets[sets >= 0]):
+        rows = sets == number
         found[rows] = even_normals(np.count_nonzero(rows), found.shape[1], generator)
     found[:, 1:] = start.turned(found[:, 1:])
     return found
