@@ -15,9 +15,9 @@ drawn together (:mod:`pemviz.proposals.shrinkage`). Where violations lie on all 
 above 1.
 
 Points that fill space more evenly than random ones do tell an average more exactly. So those of a
-fitted proposal are of a scrambled Sobol' sequence (Owen 1995; Sobol' 1967): each is distributed as
-a random one would be, averages are unbiased, and the first coordinate, which is spread most evenly,
-runs along the direction in which V is narrowest.
+fitted proposal are of a scrambled Sobol' sequence (Matousek 1998): each is distributed as a random
+one would be, averages are unbiased, and the first coordinate, which is spread most evenly, runs
+along the direction in which V is narrowest.
 """
 
 from collections.abc import Sequence
@@ -113,13 +113,14 @@ class StartMoves:
 def even_normals(count: int, latents: int, generator: np.random.Generator) -> FloatArray:
     """Standard normals ``[count, latents]`` of points that fill space evenly, in random order.
 
-    Each is distributed as independent ones are, and so are those of any two calls.
+    Each is distributed as a random one would be, and independent of those of other calls. Of more
+    latents than the sequence has coordinates all are random.
     """
     from scipy.stats import qmc  # noqa: PLC0415  slow to import
 
-    if not count:
-        return np.empty((0, latents))
-    sequence = qmc.Sobol(latents, scramble=True, bits=SOBOL_BITS, seed=generator)
+    if not count or latents > qmc.Sobol.MAXDIM:
+        return generator.standard_normal((count, latents))
+    sequence = qmc.Sobol(latents, scramble=True, bits=SOBOL_BITS, rng=generator)
     # the first by itself: of others than powers of two it warns that they are less even
     points = np.concatenate([sequence.random(1), sequence.random(count - 1)])
     points = generator.permutation(points)

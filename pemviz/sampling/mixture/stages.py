@@ -444,7 +444,7 @@ def _even_normals(
     sets = np.where(component > PLAIN, component * (REPLICATES + 1) + replicates(component), -1)
     for number in np.unique(sets[sets >= 0]):
         rows = sets == number
-        found[rows] = even_normals(np.count_nonzero(rows), found.shape[1], generator)
+        found[rows] = even_normals(int(np.count_nonzero(rows)), found.shape[1], generator)
     found[:, 1:] = start.turned(found[:, 1:])
     return found
 
