@@ -7,8 +7,9 @@ scenario and of simulators of the user's own; each signal under its key; the out
 ``detected``, with its log likelihoods ``log_p`` under the error model and ``log_q`` under what it
 was sampled from [nats]. Of several slots each has these three, ``detected.NAME``. Of a scenario
 with latents each one, ``latents.start.0``, and the mean that it was sampled with,
-``latents.start_mean.0``; those at the start are the same in all rows; of noise also how likely it
-was to be moved, ``latents.noise_share``, and its spread, mean and share where it was to be narrow.
+``latents.start_mean.0``; those at the start are the same in all rows, with what the start adds to
+the log weight, ``latents.start_log_weight`` [nats]; of noise also how likely it was to be moved,
+``latents.noise_share``, and its spread, mean and share where it was to be narrow.
 At the last state perception does not act: what belongs to a step is empty there.
 """
 
@@ -62,6 +63,9 @@ def columns(rollout: KeptRollout) -> dict[str, list[Any]]:
     for name, latents in rollout.latents.items():
         if name in SHARES:
             table[f"latents.{name}"] = [*latents.tolist(), None]
+            continue
+        if not latents.ndim:
+            table[f"latents.{name}"] = [float(latents)] * states
             continue
         for place in range(latents.shape[-1]):
             own: Any = latents[..., place].tolist()

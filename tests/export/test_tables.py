@@ -94,6 +94,7 @@ def test_latents_stand_in_columns_of_their_own(tmp_path):
     assert {row["latents.noise_mean.0"] for row in rows} == {"0.0", ""}
     assert [row["latents.noise_share"] for row in rows] == ["1.0"] * 16 + [""]
     assert "latents.noise_share.0" not in rows[0]
+    assert {row["latents.start_log_weight"] for row in rows} == {"0.0"}
     distance_m = [float(row["distance_m"]) for row in rows]
     missed = np.array([row["detected"] == "false" for row in rows[:-1]])
     np.testing.assert_allclose(np.diff(distance_m), 0.1 * missed + 0.2 * noise[:, 0], atol=1e-12)

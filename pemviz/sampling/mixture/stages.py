@@ -169,7 +169,7 @@ class DividedMoves(DividedProposal):
         own = np.where(self.explored[:, None], start[:, :latents], self.normals[:, 1:])
         choice = np.where(self.explored, normals.spread_choice, self.normals[:, 0])
         start[:, :latents] = self.start.starts(own, ndtr(choice) < NARROW_SHARE)
-        return start, -self.start.log_ratio(start[:, :latents])
+        return start, 0.0 - self.start.log_ratio(start[:, :latents])
 
     def once(self, count: int) -> BoolArray:  # noqa: ARG002  that of all is known
         """Which rollouts have one step's noise moved at most, ``[N]``."""

@@ -124,7 +124,7 @@ class LatentTrack:
             start, log_weight = proposal.chosen_start(normals)
         else:
             start = normals.start + mean
-            log_weight = -log_shifted(start, mean)
+            log_weight = 0.0 - log_shifted(start, mean)  # not -0.0
         none, shares = np.zeros(normals.noise.shape), np.ones((count, steps))
         one, narrow_share = np.ones(none.shape), np.zeros(shares.shape)
         latents = Latents(start, mean, log_weight, none, none, shares, one, none, narrow_share)
