@@ -34,7 +34,7 @@ SPREAD_RIDGE = 5.0
 """So many starts of spread 1 count beside those that a spread is fitted to."""
 LEAST_SPREAD, LARGEST_SPREAD = 0.2, 3.0
 NARROW_SHARE = 0.5
-"""Of the starts."""
+"""Of the starts, which is that of the others too."""
 SOBOL_BITS = 30
 """Of a point's coordinates; what is below is random."""
 
@@ -85,7 +85,7 @@ class StartMoves:
         volume = np.sum(np.log(self.sd), axis=-1) + np.sum(np.log(self.along), axis=-1)
         narrow = 0.5 * np.sum(start**2, axis=-1) - 0.5 * squares - volume
         as_wide = np.all(self.sd == 1.0, axis=-1) & np.all(self.along == 1.0, axis=-1)
-        return np.where(as_wide, wide, np.logaddexp(wide, narrow) - np.log(2.0))
+        return np.where(as_wide, wide, np.logaddexp(wide, narrow) + np.log(NARROW_SHARE))
 
     def starts(self, normals: FloatArray, narrow: BoolArray) -> FloatArray:
         """Made of independent standard normals ``[N, S]``; which are ``narrow`` is ``[N]``."""
