@@ -63,13 +63,11 @@ class StandardNormals(Batch):
         start: ``[N, S]``, seeds after them.
         noise: ``[N, T-1, M]``.
         choice: ``[N, T-1]``: they decide at which steps noise is moved, see :class:`Latents`.
-        spread_choice: ``[N]``: they decide which starts have spreads of their own.
     """
 
     start: FloatArray
     noise: FloatArray
     choice: FloatArray
-    spread_choice: FloatArray
 
 
 @dataclass(frozen=True)

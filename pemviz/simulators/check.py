@@ -118,7 +118,6 @@ class _Trial:
             start=generator.standard_normal((COUNT, counts.at_start)),
             noise=generator.standard_normal((COUNT, self.steps, counts.noise)),
             choice=np.zeros((COUNT, self.steps)),
-            spread_choice=np.zeros(COUNT),
         )
         self.latents = normals.take(np.array([*range(COUNT - 1), MIXED]))  # the last two the same
 

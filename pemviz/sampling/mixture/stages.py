@@ -25,7 +25,6 @@ from scipy.special import expit, ndtr
 from pemviz.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from pemviz.config import LostName
 from pemviz.faults import counted_from
-from pemviz.latents import StandardNormals
 from pemviz.proposals import latent_moves
 from pemviz.proposals import offset_logistic as logistic
 from pemviz.proposals.defensive import share_for
@@ -163,12 +162,12 @@ class DividedMoves(DividedProposal):
         """Of the latents at the start, ``[N, S]``."""
         return self.start.mean
 
-    def chosen_start(self, normals: StandardNormals) -> tuple[FloatArray, FloatArray]:
+    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latents at the start, seeds included, and their log p - log q."""
-        latents, start = self.normals.shape[1] - 1, normals.start.copy()
+        latents, start = self.normals.shape[1] - 1, normals.copy()
         own = np.where(self.explored[:, None], start[:, :latents], self.normals[:, 1:])
-        choice = np.where(self.explored, normals.spread_choice, self.normals[:, 0])
-        start[:, :latents] = self.start.starts(own, ndtr(choice) < NARROW_SHARE)
+        narrow = ndtr(self.normals[:, 0]) < NARROW_SHARE
+        start[:, :latents] = self.start.starts(own, narrow)
         return start, 0.0 - self.start.log_ratio(start[:, :latents])
 
     def once(self, count: int) -> BoolArray:  # noqa: ARG002  that of all is known

@@ -149,7 +149,6 @@ def _as_normals(latents: Sequence[Latents]) -> StandardNormals:
         start=np.concatenate([each.start for each in latents]),
         noise=noise,
         choice=np.zeros(noise.shape[:2]),
-        spread_choice=np.zeros(len(noise)),
     )
 
 

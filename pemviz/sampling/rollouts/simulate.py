@@ -25,7 +25,7 @@ from pemviz.types import (
     tells_violation,
 )
 
-SPAWN_KEY, CHOICE_KEY = 2**32 - 1, 2**32 - 2
+SPAWN_KEY = 2**32 - 1
 """Of the children of a stage's seeds that latents come from; others count from 0."""
 Tell = Callable[[int, StateBatch, BoolArray, FloatArray | None], None]
 """Gets what a step is given: the outcome's index, states ``[N]``, outcomes ``[N]`` and noise."""
@@ -55,8 +55,8 @@ class ShapesLatents(MovesLatents, Protocol):
 class ChoosesStart(Proposal, Protocol):
     """A proposal that chooses where rollouts start."""
 
-    def chosen_start(self, normals: StandardNormals) -> tuple[FloatArray, FloatArray]:
-        """Latents ``[N, S]`` made of the standard normals, and log p - log q, ``[N]`` [nats]."""
+    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
         ...
 
 
@@ -70,7 +70,6 @@ class NormalSource:
     def __init__(self, seeds: np.random.SeedSequence, *, counts: LatentCounts, steps: int) -> None:
         """For the stage of ``seeds``, whose rollouts have ``counts.noise`` at each of ``steps``."""
         self._generator = np.random.default_rng(_child(seeds, SPAWN_KEY))
-        self._choices = np.random.default_rng(_child(seeds, CHOICE_KEY))
         self._counts, self._steps = counts, steps
 
     def draw(self, count: int) -> StandardNormals | None:
@@ -85,7 +84,6 @@ class NormalSource:
             start=normals[:, :at_start],
             noise=by_step[..., :each],
             choice=by_step[..., each:].sum(-1),
-            spread_choice=self._choices.standard_normal(count),
         )
 
 
@@ -121,7 +119,7 @@ class LatentTrack:
             moved = proposal.start_mean(count)  # seeds, which come after, stay
             mean[:, : moved.shape[1]] = moved
         if isinstance(proposal, ChoosesStart):
-            start, log_weight = proposal.chosen_start(normals)
+            start, log_weight = proposal.chosen_start(normals.start)
         else:
             start = normals.start + mean
             log_weight = 0.0 - log_shifted(start, mean)  # not -0.0

@@ -207,7 +207,7 @@ def simulated_from(problem: Problem, numbers: RandomNumbers) -> Simulated:
         normals = None
         if latent_counts(problem.simulator):
             none = np.zeros(some.noise.shape[:2])
-            normals = StandardNormals(some.start, some.noise, none, np.zeros(some.count))
+            normals = StandardNormals(some.start, some.noise, none)
         tasks.append(BatchTask(PemProposal(), ndtr(some.outcomes), normals))
     simulated = problem.run_batches(problem.simulator, problem.pem, iter(tasks))
     parts, done = list[RolloutBatch](), 0

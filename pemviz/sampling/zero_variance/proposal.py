@@ -14,7 +14,6 @@ from scipy.special import ndtr
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
 from pemviz.chunks import distinct
-from pemviz.latents import StandardNormals
 from pemviz.pem.models.protocol import Pem
 from pemviz.proposals.defensive import share_for
 from pemviz.proposals.zero_variance import (
@@ -64,14 +63,14 @@ class StartZeroVarianceProposal(ZeroVarianceProposal):
     cells: StartCells
     log_start_value: FloatArray
 
-    def chosen_start(self, normals: StandardNormals) -> tuple[FloatArray, FloatArray]:
-        """Latents ``[N, S]`` made of the standard normals, and log p - log q, ``[N]`` [nats]."""
+    def chosen_start(self, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latents ``[N, S]`` made of standard normals ``[N, S]``, and log p - log q, ``[N]``."""
         share = np.exp(self.cells.log_p)
         if np.isfinite(self.log_probability):
             given = np.exp(self.cells.log_p + self.log_start_value - self.log_probability)
             share = (1.0 - self.defensive) * given + self.defensive * share
         bounds = np.cumsum(share)
-        uniform = ndtr(normals.start)
+        uniform = ndtr(normals)
         place_in_all = uniform[:, 0] * bounds[-1]
         cell = np.minimum(np.searchsorted(bounds, place_in_all, side="right"), share.size - 1)
         # what is left of the first number within its cell is uniform again
