@@ -311,6 +311,8 @@ def test_error_of_strata_is_that_of_plain_formulas():
     # of those that hold neither the order nor the set is needed
     unknown = np.where(violated, replicate, -1)
     assert StratifiedError.of(np.log(weight), violated, component, unknown) == found
+    far = np.where(replicate < 0, -1, 10**12)  # as an edited file has it
+    assert math.isfinite(StratifiedError.of(np.log(weight), violated, component, far).log_error)
     plain = StratifiedError.of(np.log(weight), violated, component)
     parts[2] = 80 * value[41:].var(ddof=1)
     assert math.exp(plain.log_error) == pytest.approx(np.sqrt(parts.sum()) / 121, rel=1e-12)

@@ -94,7 +94,7 @@ class StratifiedError:
             spread = float(np.var(values, ddof=1)) if values.size > 1 else float(values[0] ** 2)
             spread, freedom = values.size * spread, max(values.size - 1.0, 1.0)
             if replicate is not None and replicate[own].max() >= 0:
-                labels = np.maximum(replicate[own], 0)
+                labels = replicate[own].clip(0, REPLICATES - 1)  # a file may hold anything
                 sums = np.bincount(labels, weights=values, minlength=REPLICATES)
                 freedom, of_sums = REPLICATES - 1.0, REPLICATES * float(np.var(sums, ddof=1))
                 spread = max(of_sums, LEAST_VARIANCE_SHARE * spread)
