@@ -40,7 +40,7 @@ from pemviz.sampling.method import (
     PoolsStages,
     SurrogateLearning,
 )
-from pemviz.sampling.rollouts.repeat import Repeats, repeated, to_repeat
+from pemviz.sampling.rollouts.repeat import RepeatedAhead, Repeats, repeated, to_repeat
 from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.own_randomness import fixed_randomness
@@ -277,7 +277,8 @@ class _Runner:
             self._notify(told)
             self._pause()
 
-        watched = replace(problem, progress=progress)
+        ahead = RepeatedAhead(problem)
+        watched = replace(problem, progress=progress, seen=ahead.saw)
         while not method.is_done(state):
             self._at = repetition, stage
             state, result = method.step(watched, state)
@@ -298,7 +299,7 @@ class _Runner:
         )
         # of all stages at once: with many workers each would take as long as all do
         watched = replace(problem, progress=partial(progress, again=True))
-        repeats = repeated(watched, some, twin=self._experiment.twin)
+        repeats = repeated(watched, some, twin=self._experiment.twin, ahead=ahead)
         self._repeats += repeats
         rules = self._experiment.config.rules
         pooled = method.pooled_log_weight(state) if isinstance(method, PoolsStages) else None

@@ -215,7 +215,7 @@ def _kept(folder: Path, experiment: Experiment, place: tuple[int, int, int]) -> 
     if folding is not None:
         detected = (detected ^ ~folding.simulator.nominal).reshape(1, -1)
     signals = {n: v[0] for n, v in one.items() if not n.startswith(LATENTS)}
-    return _Kept(task_of(detected, () if latents is None else (latents,)), signals)
+    return _Kept(task_of(detected, latents), signals)
 
 
 def _sampled(

@@ -78,6 +78,10 @@ def _no_pause() -> None:
     """Go on."""
 
 
+def not_watched(batch: ScoredRollouts, first: int, count: int) -> None:
+    """Nobody looks at rollouts before their stage is done."""
+
+
 @dataclass(frozen=True)
 class ScoredRule:
     """How one of several rules is scored.
@@ -110,6 +114,8 @@ class Problem:
         progress: Gets after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
         pause: Called now and then during long work between rollouts; may raise likewise.
+        seen: Gets every batch of a stage once it is scored, which rollout of the stage its first
+            one is, and how many the stage is to have.
         finished: Repetition and stage to what an interrupted run left of it; ``None``: it is
             to be carried out.
         unsafe: States ``[N]`` to whether being in one of them is what violates the
@@ -135,6 +141,7 @@ class Problem:
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = no_progress
     pause: Callable[[], None] = _no_pause
+    seen: Callable[[ScoredRollouts, int, int], None] = not_watched
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished
     unsafe: Callable[[StateBatch], BoolArray] | None = None
     monitor: Monitor | None = None
@@ -239,6 +246,7 @@ def sample_batches(
         scored = score(problem, rollouts)
         robustness_s = time.perf_counter() - began - simulation_s
         timings_s = {"simulation": simulation_s, "robustness": robustness_s}
+        problem.seen(scored, done, count)
         done += size
         problem.progress(done, count)
         yield replace(scored, timings_s=timings_s)

@@ -1,6 +1,8 @@
 """Rollouts that are not the same again are found, and nothing is decided by them."""
 
-from dataclasses import dataclass, field
+import time
+from concurrent.futures import BrokenExecutor, Future
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,11 +11,12 @@ import pemviz
 from pemviz.config import METHODS
 from pemviz.config.settings import Rule
 from pemviz.errors import ConfigError
-from pemviz.proposals.fixed import ConstantProposal
+from pemviz.proposals.fixed import ConstantProposal, PemProposal
 from pemviz.reports.gate import EXIT_GATE_UNDECIDED, decide_run
 from pemviz.runs.uncertainty import run_interval_caveats, run_remedy
 from pemviz.sampling.problem import sample
-from pemviz.sampling.rollouts.repeat import MOST, SHARE, repeated, to_repeat
+from pemviz.sampling.rollouts.pooled import PooledRunner
+from pemviz.sampling.rollouts.repeat import MOST, SHARE, RepeatedAhead, repeated, to_repeat
 from pemviz.types import StateBatch
 from tests.latent_toys import Drift
 from tests.lattice_walk import ToyPem, ToySimulator
@@ -97,6 +100,85 @@ def test_a_share_of_a_stage_and_never_more_than_so_many():
         some = to_repeat(problem, scored)
         assert 1 <= repeated(problem, [some]).count <= most
     assert SHARE * 10_000 > MOST
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slow(ToySimulator):
+    """Takes 6 ms a rollout."""
+
+    def step(self, states, detected):
+        if int(states.step) == 0:
+            time.sleep(0.006 * detected.size)
+        return super().step(states, detected)
+
+
+@dataclass
+class Handed:
+    """A pool that does at once what it is handed in, and counts; ``loses`` so many repeats."""
+
+    loses: int = 0
+    rollouts: int = 0
+
+    def submit(self, function, simulator, pem, task):
+        future = Future()
+        self.rollouts += len(task.uniforms)
+        if self.loses and not isinstance(task.proposal, PemProposal):
+            self.loses -= 1
+            future.set_exception(BrokenExecutor("a worker died"))
+        else:
+            future.set_result(function(simulator, pem, task))
+        return future
+
+
+def of_a_stage(pool, *, proposal=None, simulator=None, lost="end"):
+    """240 rollouts in batches of 40, what is under way when they are done, and their problem."""
+    problem = built(simulator or Slow(), lost=lost).problem
+    runner = PooledRunner(pool.submit, 4, loses=lost != "end")
+    problem = replace(problem, batch_rollouts=40, run_batches=runner)
+    ahead = RepeatedAhead(problem)
+    scored = sample(
+        replace(problem, seen=ahead.saw),
+        proposal=proposal or PemProposal(),
+        count=240,
+        seeds=np.random.SeedSequence(1),
+    )
+    return problem, ahead, scored
+
+
+@pytest.mark.parametrize("proposal", [PemProposal(), ConstantProposal(detection_probability=0.4)])
+def test_what_is_repeated_while_a_stage_is_under_way_is_what_is_repeated_of_it(proposal):
+    pool = Handed()
+    problem, ahead, scored = of_a_stage(pool, proposal=proposal)
+    some, early = to_repeat(problem, scored), len(ahead.under_way)
+    assert some.rollouts.count == 5
+    assert 2 <= early <= 4  # two that lie evenly, and violations, where all weigh alike
+    assert pool.rollouts == 240 + early
+    assert repeated(problem, [some], ahead=ahead) == repeated(replace(problem), [some])
+    assert len(ahead.under_way) == some.rollouts.count  # none was in vain
+
+
+def test_nothing_is_repeated_early_where_no_worker_would_be_idle():
+    pool = Handed()
+    _, ahead, _ = of_a_stage(pool, simulator=ToySimulator())
+    assert (len(ahead.under_way), pool.rollouts) == (0, 240)
+
+
+@pytest.mark.parametrize("lost", ["end", "violation"])
+def test_what_is_lost_of_it_is_simulated_again(lost):
+    problem, ahead, scored = of_a_stage(Handed(loses=2), lost=lost)
+    some = to_repeat(problem, scored)
+    told = []
+    watched = replace(problem, progress=lambda done, total: told.append((done, total)))
+    assert repeated(watched, [some], ahead=ahead).count == some.rollouts.count
+    assert told == [(done, 5) for done in (1, 2, 3, 5)]  # the two that were lost, side by side
+
+
+def test_what_differs_is_found_early_too():
+    problem, ahead, scored = of_a_stage(Handed())
+    some = to_repeat(problem, scored)
+    signals = {"gap": some.rollouts.signals["gap"] + 1.0}
+    other = replace(some, rollouts=replace(some.rollouts, signals=signals))
+    assert repeated(problem, [other], ahead=ahead).differing == some.rollouts.count
 
 
 @pytest.mark.parametrize("method", sorted(set(METHODS.shipped) - {"zero-variance"}))

@@ -194,6 +194,27 @@ class PooledRunner:
             wait([self.submit(_nothing, simulator, pem)], timeout=START_S)
         self._is_new = False
 
+    @property
+    def has_spare_workers(self) -> bool:
+        """Whether one may be idle for long while another is at the last rollout of a stage."""
+        return self.workers > 1 and self._rollout_s >= SLOW_S
+
+    def hand_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Future[Simulated]:
+        """Rollouts to be simulated beside what is waited for."""
+        try:
+            return self.submit(_simulated, simulator, pem, task)
+        except BrokenExecutor as error:  # a worker died before
+            lost: Future[Simulated] = Future()
+            lost.set_exception(error)
+            return lost
+
+    def answer_if_any(self, future: Future[Simulated]) -> RolloutBatch | None:
+        """What a worker returns, once it does; ``None`` if it does not, which nobody is told."""
+        self._wait(future.done, [future])
+        if not future.done() or future.cancelled() or future.exception() is not None:
+            return None
+        return self._kept(future.result().rollouts)
+
     def answer(self, future: Future[Simulated]) -> RolloutBatch:
         """What a worker returns, once it does.
 
@@ -223,7 +244,10 @@ class PooledRunner:
         self._took_s.append(simulated.took_s / simulated.rollouts.count)
         own = self._held.setdefault(simulated.process, _Held(simulated.resident_bytes))
         own.pieces, own.now_bytes = own.pieces + 1, simulated.resident_bytes
-        return marked(simulated.rollouts) if self.loses else simulated.rollouts
+        return self._kept(simulated.rollouts)
+
+    def _kept(self, rollouts: RolloutBatch) -> RolloutBatch:
+        return marked(rollouts) if self.loses else rollouts
 
     def retire_if_grown(self) -> bool:
         """Have other workers where one holds much more than after its first piece; whether so."""
@@ -262,15 +286,10 @@ class _Piece:
         self.hand_in()
 
     def hand_in(self) -> None:
-        self.future: Future[Simulated] = self._submit(self.task)
+        self.future = self._submit(self.task)
 
     def _submit(self, task: BatchTask) -> Future[Simulated]:
-        try:
-            return self.runner.submit(_simulated, self._simulator, self._pem, task)
-        except BrokenExecutor as error:  # a worker died before
-            lost: Future[Simulated] = Future()
-            lost.set_exception(error)
-            return lost
+        return self.runner.hand_in(self._simulator, self._pem, task)
 
     def hand_in_if_lost(self) -> None:
         """Again, where it was under way, or handed in, when a worker was lost."""

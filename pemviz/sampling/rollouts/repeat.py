@@ -9,7 +9,8 @@ memories of misses and what the data allow are told.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pemviz.faults import of_no_rollouts
 from pemviz.latents import Latents, StandardNormals
 from pemviz.sampling.problem import Problem, in_time, score, side_by_side
 from pemviz.sampling.rollouts.losing import lost_rows
+from pemviz.sampling.rollouts.pooled import PooledRunner, Simulated
 from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import ROUNDING
@@ -71,12 +73,74 @@ def to_repeat(problem: Problem, scored: ScoredRollouts) -> ScoredRollouts:
     return scored.take(_chosen(scored))
 
 
+@dataclass
+class RepeatedAhead:
+    """Simulates rollouts of a stage again while its last ones are under way.
+
+    Workers that have nothing else to do wait for these, one of which may be long; to repeat
+    rollouts only then is to wait for another. Which are repeated does not depend on it: what is
+    certain early is begun early.
+
+    Attributes:
+        problem: What is simulated.
+        under_way: What is begun, by all that decides how it goes.
+        violating: How many violations of the stage that is sampled are begun.
+    """
+
+    problem: Problem
+    under_way: dict[bytes, Future[Simulated]] = field(
+        default_factory=dict[bytes, Future[Simulated]]
+    )
+    violating: int = 0
+
+    def saw(self, batch: ScoredRollouts, first: int, count: int) -> None:
+        """Begin some of a batch: of a stage of ``count`` rollouts, those from ``first`` on.
+
+        None of a last batch: whatever comes next would wait for them.
+        """
+        if first == 0:
+            self.violating = 0
+        if first + batch.rollouts.count == count:
+            return
+        most = _most(count)
+        evenly = _evenly(count, most)[: most // 2] - first
+        rows = evenly[(evenly >= 0) & (evenly < batch.rollouts.count)]
+        if not batch.rollouts.log_weight.any():  # none will weigh more than the first
+            carrying = np.flatnonzero(batch.violated)[: (most + 1) // 2 - self.violating]
+            self.violating += carrying.size
+            rows = np.union1d(rows, carrying)
+        chosen = batch.rollouts.take(rows)
+        self.begin(chosen.take(~lost_rows(chosen)))
+
+    def begin(self, rollouts: RolloutBatch) -> None:
+        """Hand in rollouts, if workers may be idle."""
+        runner = self.problem.run_batches
+        if not (isinstance(runner, PooledRunner) and runner.has_spare_workers):
+            return
+        for row, key in enumerate(_keys(rollouts)):
+            if key not in self.under_way:
+                task = _task_again(rollouts.take(slice(row, row + 1)))
+                self.under_way[key] = runner.hand_in(self.problem.simulator, self.problem.pem, task)
+
+    def came(self, rollout: RolloutBatch) -> RolloutBatch | None:
+        """One rollout as it came again, once it does; ``None`` if it was not begun, or lost."""
+        (key,), runner = _keys(rollout), self.problem.run_batches
+        if key not in self.under_way or not isinstance(runner, PooledRunner):
+            return None
+        return runner.answer_if_any(self.under_way[key])
+
+
 def repeated(
-    problem: Problem, stages: Sequence[ScoredRollouts], *, twin: Simulator | None = None
+    problem: Problem,
+    stages: Sequence[ScoredRollouts],
+    *,
+    twin: Simulator | None = None,
+    ahead: RepeatedAhead | None = None,
 ) -> Repeats:
     """Simulate rollouts of stages again, with the same outcomes and latents, all side by side.
 
-    On a ``twin`` whose start is the simulator's, they are simulated too.
+    On a ``twin`` whose start is the simulator's, they are simulated too. What is under way
+    ``ahead`` is not begun anew.
 
     Raises:
         SimulationError: What is simulated raises something, or takes too long.
@@ -84,24 +148,37 @@ def repeated(
     some = [stage for stage in stages if stage.rollouts.count]
     if not some:
         return Repeats()
-    detected = np.concatenate([stage.rollouts.detected for stage in some])
-    latents = [stage.rollouts.latents for stage in some]
-    task = task_of(detected, [each for each in latents if each is not None])
-    size = max(LEAST_AT_ONCE, side_by_side(problem))
-    tasks = [task.take(slice(first, first + size)) for first in range(0, len(detected), size)]
-    simulated = problem.run_batches(problem.simulator, problem.pem, iter(tasks))
-    parts, done = list[RolloutBatch](), 0
-    for _ in tasks:
-        with of_no_rollouts():
-            parts.append(in_time(problem, lambda: next(simulated)))
-        done += parts[-1].count
-        problem.progress(done, len(detected))
-    again, found, done = RolloutBatch.concatenate(parts), Repeats(), 0
+    once = RolloutBatch.concatenate([stage.rollouts for stage in some])
+    again, found, done = _again(problem, once, ahead or RepeatedAhead(problem)), Repeats(), 0
     for stage in some:
         own = again.take(slice(done, done + stage.rollouts.count))
         found += _of_stage(problem, stage, own, twin)
         done += own.count
     return found
+
+
+def _again(problem: Problem, once: RolloutBatch, ahead: RepeatedAhead) -> RolloutBatch:
+    ahead.begin(once)
+    parts, rest = list[RolloutBatch](), list[int]()
+    for row in range(once.count):
+        came = ahead.came(once.take(slice(row, row + 1)))
+        if came is None:
+            rest.append(row)
+        else:
+            parts.append(came)
+            problem.progress(len(parts), once.count)
+    done = len(parts)
+    order = [*(row for row in range(once.count) if row not in set(rest)), *rest]
+    size = max(LEAST_AT_ONCE, side_by_side(problem))
+    pieces = [rest[first : first + size] for first in range(0, len(rest), size)]
+    tasks = (_task_again(once.take(np.asarray(piece))) for piece in pieces)
+    simulated = problem.run_batches(problem.simulator, problem.pem, tasks)
+    for piece in pieces:
+        with of_no_rollouts():
+            parts.append(in_time(problem, lambda: next(simulated)))
+        done += len(piece)
+        problem.progress(done, once.count)
+    return RolloutBatch.concatenate(parts).take(np.argsort(order))
 
 
 def _of_stage(
@@ -120,10 +197,21 @@ def _of_stage(
     return replace(found, on_twin=once.count, twin_differing=differing)
 
 
-def task_of(detected: BoolArray, latents: Sequence[Latents]) -> BatchTask:
+def task_of(detected: BoolArray, latents: Latents | None) -> BatchTask:
     """Rollouts with outcomes ``[N, T-1]`` that are given, and latents, if they have any."""
-    normals = _as_normals(latents) if latents else None
+    normals = None if latents is None else _as_normals(latents)
     return BatchTask(_GivenOutcomes(detected), np.full(detected.shape, 0.5), normals)
+
+
+def _task_again(rollouts: RolloutBatch) -> BatchTask:
+    return task_of(rollouts.detected, rollouts.latents)
+
+
+def _keys(rollouts: RolloutBatch) -> list[bytes]:
+    """What decides how each rollout goes."""
+    latents = rollouts.latents
+    deciding = [rollouts.detected, *(() if latents is None else (latents.start, latents.noise))]
+    return [b"".join(values[row].tobytes() for values in deciding) for row in range(rollouts.count)]
 
 
 @dataclass(frozen=True)
@@ -142,25 +230,30 @@ class _GivenOutcomes:
         return _GivenOutcomes(self.detected[rows])
 
 
-def _as_normals(latents: Sequence[Latents]) -> StandardNormals:
+def _as_normals(latents: Latents) -> StandardNormals:
     """What no proposal moves: the latents themselves."""
-    noise = np.concatenate([each.noise for each in latents])
-    return StandardNormals(
-        start=np.concatenate([each.start for each in latents]),
-        noise=noise,
-        choice=np.zeros(noise.shape[:2]),
-    )
+    choice = np.zeros(latents.noise.shape[:2])
+    return StandardNormals(start=latents.start, noise=latents.noise, choice=choice)
+
+
+def _most(total: int) -> int:
+    """How many of a stage."""
+    return min(MOST, math.ceil(SHARE * total))
+
+
+def _evenly(total: int, most: int) -> IntArray:
+    """Rows of ``total``, evenly spaced; of an even number of them the first half are so too."""
+    rows = ((np.arange(most) + 0.5) * total / most).astype(np.int64)
+    return np.concatenate([rows[::2], rows[1::2]])
 
 
 def _chosen(scored: ScoredRollouts) -> IntArray:
     """Which rows, in order."""
-    total = scored.rollouts.count
-    count = min(MOST, math.ceil(SHARE * total))
+    most = _most(scored.rollouts.count)
     violating = np.flatnonzero(scored.violated)
     heaviest = np.argsort(-scored.rollouts.log_weight[violating], kind="stable")
-    carrying = violating[heaviest[: (count + 1) // 2]]
-    evenly = (np.arange(count - carrying.size) + 0.5) * total / max(count - carrying.size, 1)
-    return np.union1d(carrying, evenly.astype(np.int64))
+    carrying = violating[heaviest[: (most + 1) // 2]]
+    return np.union1d(carrying, _evenly(scored.rollouts.count, most)[: most - carrying.size])
 
 
 def _compared(problem: Problem, once: RolloutBatch, again: RolloutBatch) -> Repeats:
