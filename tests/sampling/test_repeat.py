@@ -145,22 +145,39 @@ def of_a_stage(pool, *, proposal=None, simulator=None, lost="end"):
     return problem, ahead, scored
 
 
+def begun(ahead):
+    return sum(len(each) for each in ahead.under_way.values())
+
+
 @pytest.mark.parametrize("proposal", [PemProposal(), ConstantProposal(detection_probability=0.4)])
 def test_what_is_repeated_while_a_stage_is_under_way_is_what_is_repeated_of_it(proposal):
     pool = Handed()
     problem, ahead, scored = of_a_stage(pool, proposal=proposal)
-    some, early = to_repeat(problem, scored), len(ahead.under_way)
+    some, early = to_repeat(problem, scored), begun(ahead)
     assert some.rollouts.count == 5
     assert 2 <= early <= 4  # two that lie evenly, and violations, where all weigh alike
     assert pool.rollouts == 240 + early
     assert repeated(problem, [some], ahead=ahead) == repeated(replace(problem), [some])
-    assert len(ahead.under_way) == some.rollouts.count  # none was in vain
+    assert begun(ahead) == 0  # none was in vain
+
+
+ALL_DETECTED = ConstantProposal(detection_probability=1.0 - 1e-12)
+
+
+def test_rollouts_that_are_alike_are_each_repeated():
+    pool = Handed()
+    problem, ahead, scored = of_a_stage(pool, proposal=ALL_DETECTED)
+    some = to_repeat(problem, scored)
+    assert len(np.unique(some.rollouts.detected, axis=0)) == 1
+    assert begun(ahead) == 2
+    assert repeated(problem, [some], ahead=ahead).count == some.rollouts.count
+    assert pool.rollouts == 240 + some.rollouts.count
 
 
 def test_nothing_is_repeated_early_where_no_worker_would_be_idle():
     pool = Handed()
     _, ahead, _ = of_a_stage(pool, simulator=ToySimulator())
-    assert (len(ahead.under_way), pool.rollouts) == (0, 240)
+    assert (begun(ahead), pool.rollouts) == (0, 240)
 
 
 @pytest.mark.parametrize("lost", ["end", "violation"])

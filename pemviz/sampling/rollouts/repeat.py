@@ -8,7 +8,8 @@ memories of misses and what the data allow are told.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
@@ -83,13 +84,13 @@ class RepeatedAhead:
 
     Attributes:
         problem: What is simulated.
-        under_way: What is begun, by all that decides how it goes.
+        under_way: What is begun, by all that decides how it goes; rollouts may be alike in that.
         violating: How many violations of the stage that is sampled are begun.
     """
 
     problem: Problem
-    under_way: dict[bytes, Future[Simulated]] = field(
-        default_factory=dict[bytes, Future[Simulated]]
+    under_way: dict[bytes, list[Future[Simulated]]] = field(
+        default_factory=lambda: defaultdict[bytes, list[Future[Simulated]]](list)
     )
     violating: int = 0
 
@@ -110,24 +111,33 @@ class RepeatedAhead:
             self.violating += carrying.size
             rows = np.union1d(rows, carrying)
         chosen = batch.rollouts.take(rows)
-        self.begin(chosen.take(~lost_rows(chosen)))
+        chosen = chosen.take(~lost_rows(chosen))
+        for row, key in enumerate(_keys(chosen)):
+            self.under_way[key] += self._begun(chosen, row)
 
-    def begin(self, rollouts: RolloutBatch) -> None:
-        """Hand in rollouts, if workers may be idle."""
-        runner = self.problem.run_batches
-        if not (isinstance(runner, PooledRunner) and runner.has_spare_workers):
-            return
+    def again(self, rollouts: RolloutBatch) -> Iterator[RolloutBatch | None]:
+        """Each rollout as it came again, once it does; those that are not under way are begun.
+
+        ``None`` for one that is lost, or if no worker would be idle.
+        """
+        begun = list[list[Future[Simulated]]]()
         for row, key in enumerate(_keys(rollouts)):
-            if key not in self.under_way:
-                task = _task_again(rollouts.take(slice(row, row + 1)))
-                self.under_way[key] = runner.hand_in(self.problem.simulator, self.problem.pem, task)
+            known = self.under_way[key]
+            begun.append([known.pop()] if known else self._begun(rollouts, row))
+        runner = self.problem.run_batches
+        for each in begun:
+            if each and isinstance(runner, PooledRunner):
+                yield runner.answer_if_any(each[0])
+            else:
+                yield None
 
-    def came(self, rollout: RolloutBatch) -> RolloutBatch | None:
-        """One rollout as it came again, once it does; ``None`` if it was not begun, or lost."""
-        (key,), runner = _keys(rollout), self.problem.run_batches
-        if key not in self.under_way or not isinstance(runner, PooledRunner):
-            return None
-        return runner.answer_if_any(self.under_way[key])
+    def _begun(self, rollouts: RolloutBatch, row: int) -> list[Future[Simulated]]:
+        """One rollout that is handed in; none if no worker would be idle."""
+        runner, one = self.problem.run_batches, rollouts.take(slice(row, row + 1))
+        if not (isinstance(runner, PooledRunner) and runner.has_spare_workers):
+            return []
+        task = task_of(one.detected, one.latents)
+        return [runner.hand_in(self.problem.simulator, self.problem.pem, task)]
 
 
 def repeated(
@@ -158,26 +168,22 @@ def repeated(
 
 
 def _again(problem: Problem, once: RolloutBatch, ahead: RepeatedAhead) -> RolloutBatch:
-    ahead.begin(once)
-    parts, rest = list[RolloutBatch](), list[int]()
-    for row in range(once.count):
-        came = ahead.came(once.take(slice(row, row + 1)))
-        if came is None:
-            rest.append(row)
-        else:
+    parts, is_left = list[RolloutBatch](), np.zeros(once.count, dtype=np.bool_)
+    for row, came in enumerate(ahead.again(once)):
+        is_left[row] = came is None
+        if came is not None:
             parts.append(came)
             problem.progress(len(parts), once.count)
-    done = len(parts)
-    order = [*(row for row in range(once.count) if row not in set(rest)), *rest]
-    size = max(LEAST_AT_ONCE, side_by_side(problem))
-    pieces = [rest[first : first + size] for first in range(0, len(rest), size)]
-    tasks = (_task_again(once.take(np.asarray(piece))) for piece in pieces)
-    simulated = problem.run_batches(problem.simulator, problem.pem, tasks)
-    for piece in pieces:
+    left, size = once.take(is_left), max(LEAST_AT_ONCE, side_by_side(problem))
+    task = task_of(left.detected, left.latents)
+    tasks = [task.take(slice(first, first + size)) for first in range(0, left.count, size)]
+    simulated, done = problem.run_batches(problem.simulator, problem.pem, iter(tasks)), len(parts)
+    for _ in tasks:
         with of_no_rollouts():
             parts.append(in_time(problem, lambda: next(simulated)))
-        done += len(piece)
+        done += parts[-1].count
         problem.progress(done, once.count)
+    order = np.argsort(is_left, kind="stable")
     return RolloutBatch.concatenate(parts).take(np.argsort(order))
 
 
@@ -201,10 +207,6 @@ def task_of(detected: BoolArray, latents: Latents | None) -> BatchTask:
     """Rollouts with outcomes ``[N, T-1]`` that are given, and latents, if they have any."""
     normals = None if latents is None else _as_normals(latents)
     return BatchTask(_GivenOutcomes(detected), np.full(detected.shape, 0.5), normals)
-
-
-def _task_again(rollouts: RolloutBatch) -> BatchTask:
-    return task_of(rollouts.detected, rollouts.latents)
 
 
 def _keys(rollouts: RolloutBatch) -> list[bytes]:
