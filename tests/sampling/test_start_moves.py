@@ -115,6 +115,18 @@ def test_even_normals_are_normal_and_more_even_than_random_ones():
     assert beyond.std() < 0.5 * np.sqrt(share * (1.0 - share) / 300)
 
 
+def test_no_two_latents_have_like_signs_in_few_even_normals():
+    """Sixteen points of the sequence itself are alike in some pairs of coordinates, in every set.
+
+    Of independent ones the mean square of how alike two latents are is 1/16; of 300 sets' the worst
+    of 190 pairs would be above 6/16, where 1.8/16 is expected, by more than ten standard errors.
+    """
+    generator = np.random.default_rng(4)
+    signs = [np.sign(even_normals(16, 20, generator)) for _ in range(300)]
+    alike = np.mean([(sign.T @ sign / 16.0) ** 2 for sign in signs], axis=0)
+    assert (alike - np.eye(20)).max() < 6.0 / 16.0
+
+
 def test_starts_do_not_depend_on_how_many_are_drawn_at_a_time():
     counts = LatentCounts(start=3, noise=1)
     at_once = NormalSource(np.random.SeedSequence(3), counts=counts, steps=2)
