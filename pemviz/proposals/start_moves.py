@@ -36,7 +36,7 @@ LEAST_SPREAD, LARGEST_SPREAD = 0.2, 3.0
 NARROW_SHARE = 0.5
 """Of the starts, which is that of the others too."""
 IN_PLACE = 2
-"""Coordinates of the points that are most even: which proposal a start is of, and the first axis."""
+"""Coordinates of the points that are most even: which spread a start has, and the first axis."""
 SOBOL_BITS = 30
 """Of a point's coordinates; what is below is random."""
 
@@ -127,7 +127,7 @@ def even_normals(count: int, latents: int, generator: np.random.Generator) -> Fl
     # the first by itself: of others than powers of two it warns that they are less even
     points = np.concatenate([sequence.random(1), sequence.random(count - 1)])
     points = generator.permutation(points)
-    # few points are alike in some pairs of the later coordinates: never in the same latents' for long
+    # few points are alike in some pairs of later coordinates: not in the same latents' each time
     points[:, IN_PLACE:] = generator.permutation(points[:, IN_PLACE:], axis=1)
     points += (1.0 - generator.random(points.shape)) * 2.0**-SOBOL_BITS
     return ndtri(np.minimum(points, 1.0 - np.finfo(float).epsneg))
