@@ -282,6 +282,7 @@ class LatentFamily:
             acts: At which steps noise may be moved, ``[N, T-1]``.
         """
         squares = 0.5 * np.sum(self.start**2, axis=1)
+        start = np.ascontiguousarray(start)  # a row adds up the same however it lies in memory
         by_start = np.einsum("ns,gs->ng", start, self.start) - squares + np.log(self.start_share)
         found = np.asarray(log_sum_exp(by_start, axis=1))
         if self.noise:

@@ -340,6 +340,17 @@ def test_noise_that_one_mean_explains_is_not_told_apart():
     )
 
 
+def test_the_density_of_starts_is_the_same_however_they_lie_in_memory():
+    """Batches of one rollout are joined to rows, others to columns: the last digit was another."""
+    generator = np.random.default_rng(4)
+    start, noise = generator.standard_normal((200, 9)), np.zeros((200, 3, 0))
+    family, acts = LatentFamily.over(3, start=9, noise=0), np.ones((200, 3), dtype=np.bool_)
+    in_rows, in_columns = (
+        family.log_ratio(np.array(start, order=order), noise, acts) for order in ("C", "F")
+    )
+    np.testing.assert_array_equal(in_rows, in_columns)
+
+
 def test_densities_are_densities():
     """Of exploration and of fitted means: their ratio to the model has mean 1 under the model."""
     generator = np.random.default_rng(4)
