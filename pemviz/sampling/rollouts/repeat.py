@@ -99,10 +99,11 @@ class RepeatedAhead:
 
         None of a last batch: whatever comes next would wait for them.
         """
+        runner = self._spare
+        if runner is None or first + batch.rollouts.count == count:
+            return
         if first == 0:
             self.violating = 0
-        if first + batch.rollouts.count == count:
-            return
         most = _most(count)
         evenly = _evenly(count, most)[: most // 2] - first
         rows = evenly[(evenly >= 0) & (evenly < batch.rollouts.count)]
@@ -113,31 +114,31 @@ class RepeatedAhead:
         chosen = batch.rollouts.take(rows)
         chosen = chosen.take(~lost_rows(chosen))
         for row, key in enumerate(_keys(chosen)):
-            self.under_way[key] += self._begun(chosen, row)
+            self.under_way[key].append(self._begun(runner, chosen, row))
 
     def again(self, rollouts: RolloutBatch) -> Iterator[RolloutBatch | None]:
         """Each rollout as it came again, once it does; those that are not under way are begun.
 
-        ``None`` for one that is lost, or if no worker would be idle.
+        ``None`` for one that is lost; nothing at all if no worker would be idle.
         """
-        begun = list[list[Future[Simulated]]]()
+        runner = self._spare
+        if runner is None:
+            return
+        begun = list[Future[Simulated]]()
         for row, key in enumerate(_keys(rollouts)):
             known = self.under_way[key]
-            begun.append([known.pop()] if known else self._begun(rollouts, row))
-        runner = self.problem.run_batches
-        for each in begun:
-            if each and isinstance(runner, PooledRunner):
-                yield runner.answer_if_any(each[0])
-            else:
-                yield None
+            begun.append(known.pop() if known else self._begun(runner, rollouts, row))
+        yield from map(runner.answer_if_any, begun)
 
-    def _begun(self, rollouts: RolloutBatch, row: int) -> list[Future[Simulated]]:
-        """One rollout that is handed in; none if no worker would be idle."""
-        runner, one = self.problem.run_batches, rollouts.take(slice(row, row + 1))
-        if not (isinstance(runner, PooledRunner) and runner.has_spare_workers):
-            return []
+    @property
+    def _spare(self) -> PooledRunner | None:
+        runner = self.problem.run_batches
+        return runner if isinstance(runner, PooledRunner) and runner.has_spare_workers else None
+
+    def _begun(self, runner: PooledRunner, rollouts: RolloutBatch, row: int) -> Future[Simulated]:
+        one = rollouts.take(slice(row, row + 1))
         task = task_of(one.detected, one.latents)
-        return [runner.hand_in(self.problem.simulator, self.problem.pem, task)]
+        return runner.hand_in(self.problem.simulator, self.problem.pem, task)
 
 
 def repeated(
@@ -168,7 +169,7 @@ def repeated(
 
 
 def _again(problem: Problem, once: RolloutBatch, ahead: RepeatedAhead) -> RolloutBatch:
-    parts, is_left = list[RolloutBatch](), np.zeros(once.count, dtype=np.bool_)
+    parts, is_left = list[RolloutBatch](), np.ones(once.count, dtype=np.bool_)
     for row, came in enumerate(ahead.again(once)):
         is_left[row] = came is None
         if came is not None:
