@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from pemviz.sampling.mixture.rejuvenated import SIMULATED
+from pemviz.sampling.mixture import rejuvenated, resampled
 from pemviz.sampling.particles.method import ParticleSampling
 from pemviz.sampling.splitting.run import Splitting
 from pemviz.sampling.subset.run import SubsetSimulation
@@ -106,7 +106,10 @@ def carried_out(method, problem, *, repetition=0):
 
 def simulated_in(stages):
     """Rollouts of a repetition's stages, and those that violations were moved by."""
-    return sum(stage.count + int(stage.kept.get(SIMULATED, 0)) for stage in stages)
+    moved = rejuvenated.SIMULATED, resampled.SIMULATED
+    return sum(
+        stage.count + sum(int(stage.kept.get(name, 0)) for name in moved) for stage in stages
+    )
 
 
 def estimate_of(method, problem, *, repetition=0):

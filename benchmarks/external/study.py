@@ -30,13 +30,14 @@ from pemviz.processes import map_in_processes
 from pemviz.runs.uncertainty import run_interval_caveats
 from pemviz.sampling.mixture.build import CHAINS
 from pemviz.sampling.mixture.rejuvenated import SHARE
+from pemviz.sampling.mixture.resampled import MOST
 from pemviz.sampling.registry import by_name
 
 OTHERS = "others.jsonl"
 MOST_PRECISE = 0.001
 """As can be asked for."""
-CHAINS_SHARE, CHAINS_LEVELS, LEAST_CHAINS = 0.2, 25, 20
-"""Of a budget in counts, for chains; levels of all of their runs, about: 14 to 34 for 1e-3 to 1e-9;
+CHAINS_SHARE, CHAINS_LEVELS, LEAST_CHAINS = 0.2, 15, 20
+"""Of a budget in counts, for chains; levels of all of their runs, about: 8 to 20 for 1e-3 to 1e-9;
 rollouts a level from which on they are worth it."""
 Seeds = Annotated[int, Range(low=1, high=100_000)]
 FirstSeed = Annotated[int, Range(low=0, high=1_000_000)]
@@ -249,7 +250,8 @@ def _within(problem: AnyProblem, config: ExperimentConfig, calls: int) -> Experi
         return method.with_budget(config, int(calls / (1.0 + SHARE)))
     each = min(int(CHAINS_SHARE * calls / CHAINS_LEVELS), CHAINS)
     chains = each if each >= LEAST_CHAINS else 0
-    calls = int((calls - CHAINS_LEVELS * chains) / (1.0 + SHARE))
+    searching = CHAINS_LEVELS * chains + (MOST * config.stages if chains else 0)
+    calls = int((calls - searching) / (1.0 + SHARE))
     return method.with_budget(replace(config, chains=chains), calls)
 
 

@@ -246,7 +246,7 @@ def test_a_budget_in_counts_has_room_for_chains():
     small = configured(static, "mixture", "1200", ())
     assert (small.chains, learning_budget(small).rollouts) == (0, 1000)  # a fifth more for moves
     large = configured(static, "mixture", "20000", ())
-    assert (large.chains, learning_budget(large).rollouts) == (160, 13_333)
+    assert (large.chains, learning_budget(large).rollouts) == (100, 15_083)
     auto = configured(static, "auto", "20000", ())
     assert (auto.max_rollouts, auto.precision) == (20_000, 0.001)  # of all, and spent
     assert configured(static, "auto", "20000", ("precision=0.1",)).precision == 0.1

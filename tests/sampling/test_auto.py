@@ -235,7 +235,7 @@ class CountedDrift(Drift):
 
 
 @pytest.mark.parametrize("most", [1_200, 2_500, 6_000, 12_000])
-@pytest.mark.parametrize(("limit_m", "needs"), [(1.0, 0), (2.5, 4_000), (5.5, 10_000)])
+@pytest.mark.parametrize(("limit_m", "needs"), [(1.0, 0), (2.5, 2_500), (5.5, 10_000)])
 def test_a_limit_is_one_of_all_that_is_simulated(limit_m, needs, most):
     """Plain rollouts, chains, what is moved, and what proposals sample.
 

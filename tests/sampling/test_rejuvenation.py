@@ -18,6 +18,7 @@ from pemviz.sampling.mixture import stages
 from pemviz.sampling.mixture.explored import fits_to_unknown, log_pool_weight, pool_under
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.rejuvenated import SHARE, SIMULATED, Rejuvenated
+from pemviz.sampling.mixture.resampled import Resampled
 from pemviz.sampling.problem import FinishedStage, Problem, judged, score
 from pemviz.sampling.subset.moves import RandomNumbers
 from pemviz.sampling.subset.rejuvenation import (
@@ -293,7 +294,7 @@ def test_a_failure_mode_that_was_met_is_learned_until_its_share_is_known():
 
 def by_step_of_unknown(method, state, **changed):
     """Offsets of the proposals with the misses that modes need, whose shares are not known."""
-    known = {"found": state.rejuvenated, "pool": state.pool, **changed}
+    known = {"found": state.rejuvenated, "resampled": Resampled(), "pool": state.pool, **changed}
     terms = method._terms(state, state.basis)
     fits = fits_to_unknown(**known, terms=terms, basis=state.basis, settings=method.settings)
     return [fit.by_step for fit in fits if fit.by_step is not None]

@@ -78,7 +78,7 @@ FEWEST_STAGES = 3
 FEWEST_ROLLOUTS = 60
 """Of each of these, below which nothing is learned; what time is left for no more counts plain
 rollouts."""
-CHAINS_COST = 30
+CHAINS_COST = 18
 """Times the rollouts a level that chains take, about."""
 LOOKS = 20
 """At the clock, in a stage of plain rollouts."""
@@ -415,7 +415,7 @@ class AutoSampling:
             return method
         others = FEWEST_STAGES - (inner.stage == method.learning_stages)
         after = self._within(state) - others * method.rollouts
-        most = inner.rejuvenated.simulated + max(int(after), 0)
+        most = inner.moved + max(int(after), 0)
         return replace(method, most_moves=min(method.most_moves, most))
 
     def _gone_on(

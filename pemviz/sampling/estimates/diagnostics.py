@@ -164,9 +164,9 @@ MEANINGS: Mapping[DiagnosticKind, Meaning] = {
         in_repetitions="plain rollouts find another probability",
     ),
     "hardly-sampled": Meaning(
-        phrase="that independent chains have found",
+        phrase="chains have found are hardly sampled",
         undermines=ALL_BUT_COUNTS,
-        in_repetitions="violations that independent chains have found were hardly sampled",
+        in_repetitions="violations that Markov chains have found were hardly sampled",
     ),
     "chains-disagree": Meaning(
         phrase="independent chains find",
@@ -398,7 +398,7 @@ def hardly_sampled(*, by_chains: float, by_weights: float) -> Sequence[Diagnosti
     if by_chains <= max(MORE_ERROR * by_weights, LEAST_ERROR):
         return ()
     text = (
-        f"violations that independent chains have found are hardly sampled: by them the standard "
+        f"violations that Markov chains have found are hardly sampled: by them the standard "
         f"error is {by_chains:.2g} of the estimate, by the weights {by_weights:.2g}"
     )
     return (Diagnostic("hardly-sampled", by_chains, MORE_ERROR * by_weights, text),)

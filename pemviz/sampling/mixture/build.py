@@ -11,7 +11,7 @@ from pemviz.sampling.state.composed import proposal_features
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import latent_counts
 
-CHAINS = 200
+CHAINS = 100
 """Rollouts a level of chains, where they search."""
 SURROGATE_TIMES = 4
 """Rollouts of a stage on a surrogate, for each of a stage on the simulator; where that is large,

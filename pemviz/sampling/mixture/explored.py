@@ -10,16 +10,17 @@ of the estimate.
 
 So are proposals to violations that exploration met, moved
 (:mod:`pemviz.sampling.mixture.rejuvenated`), but only as long as the pool cannot tell how much of
-the estimate their modes have. With w = p / q of the pool's mixture q, a mode with the share a of
-the estimate mu is expected a N mu / E[w] times at least among the pool's N rollouts, with E over
-what the model does in the mode. Where N mu / w is less than a handful, the mode may have any share,
-and nothing that is computed from weights would show it; up to a hundred, a share of some per cent
-is told by a handful.
+the estimate their modes have; and to those that proposals sampled, moved
+(:mod:`pemviz.sampling.mixture.resampled`), where they came to what the pool hardly samples. With
+w = p / q of the pool's mixture q, a mode with the share a of the estimate mu is expected
+a N mu / E[w] times at least among the pool's N rollouts, with E over what the model does in the
+mode. Where N mu / w is less than a handful, the mode may have any share, and nothing that is
+computed from weights would show it; up to a hundred, a share of some per cent is told by a handful.
 
-Chains check the estimate. With m = E[w | violates], rollouts of q vary by mu m - mu^2: where q
-hardly samples what the chains have found, m is large, whatever the weights of rollouts of q say.
-And the chains' own estimates of mu have no bias. That they find less says nothing against an
-average of weights, which overlooks and does not invent; finding more does.
+What chains found and what was moved check the estimate. With m = E[w | violates], rollouts of q
+vary by mu m - mu^2: where q hardly samples what they have come to, m is large, whatever the weights
+of rollouts of q say. And independent chains' own estimates of mu have no bias. That they find less
+says nothing against an average of weights, which overlooks and does not invent; finding more does.
 """
 
 import math
@@ -49,6 +50,7 @@ from pemviz.sampling.mixture.fit import (
 )
 from pemviz.sampling.mixture.pooling import Terms, error_model, pool_of
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
+from pemviz.sampling.mixture.resampled import Resampled
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.subset.exploring import Explored
 from pemviz.types import Diagnostic, Estimate, ScoredRollouts
@@ -65,6 +67,8 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
+IN_NO_WEIGHT = 700.0
+"""Nats by which a proposal is told to flatter a rollout, whose weight it is to have no part in."""
 LARGEST_SCARCE, FEW_OF_A_MODE = 0.5, 10.0
 """Share of a mode whose rollouts may be too few beside others', and rollouts that tell no share."""
 MOST_MODES, MOST_UNSEEN = 5, 0.5
@@ -98,36 +102,86 @@ def _fits_to_modes(pool: Pool, basis: PolynomialBasis, settings: FitSettings) ->
 
 
 def fits_to_unknown(
-    found: Rejuvenated, pool: Pool, *, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+    found: Rejuvenated,
+    resampled: Resampled,
+    pool: Pool,
+    *,
+    terms: Terms,
+    basis: PolynomialBasis,
+    settings: FitSettings,
 ) -> Sequence[Fit]:
     """A proposal for each mode whose share of the estimate the pool cannot tell yet.
 
     Of those that exploration proposals have met, as rollouts that were moved; of each rule's. And
-    for those that are known by the misses that they need, one with these misses.
+    for those that are known by the misses that they need, one with these misses. And for what the
+    pool's own violations became, where it hardly samples that.
     """
+    kinds = (
+        *_fits_to_rejuvenated(found, pool, terms, basis, settings),
+        _fits_to_resampled(resampled, pool, terms, basis, settings),
+    )
+    kinds = [alike for alike in kinds if alike]
+    return [replace(fit, share=1.0 / len(alike) / len(kinds)) for alike in kinds for fit in alike]
+
+
+def _fits_to_rejuvenated(
+    found: Rejuvenated, pool: Pool, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+) -> tuple[Sequence[Fit], Sequence[Fit]]:
+    """To rollouts that were moved, and to the misses that some of them need."""
     moved, fits, needing = found.scored, list[Fit](), list[Fit]()
     if moved is None:
-        return fits
+        return fits, needing
     own, none = pool_under(moved, pool.proposals, terms), np.zeros(pool.count)
     for rule in terms.rules or (None,):
-        theirs, all_of_it = (each.under_rule(rule) if rule else each for each in (own, pool))
+        theirs, all_of_it = (_under(each, rule) for each in (own, pool))
         log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
         unknown = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
         for rows in _hardly_known(found, all_of_it, log_total):
             unknown[rows] = True
         unknown &= theirs.violated
         if unknown.any():
-            alike = _all_alike(moved.take(unknown), terms)
-            alike = alike.under_rule(rule) if rule else alike
-            for one in alike.each_conjunct():
-                fits += _fits_to_modes(one, basis, settings) if one.violated.any() else ()
+            fits += _fits_to_some(moved.take(unknown), rule, terms, basis, settings)
             needing += _fits_to_needed(found, unknown, rule, terms, basis, settings)
-    kinds = [alike for alike in (fits, needing) if alike]
-    return [
-        replace(fit, optimism=none, share=1.0 / len(alike) / len(kinds))
-        for alike in kinds
-        for fit in alike
-    ]
+    fits, needing = ([replace(fit, optimism=none) for fit in some] for some in (fits, needing))
+    return fits, needing
+
+
+def _fits_to_resampled(
+    found: Resampled, pool: Pool, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+) -> Sequence[Fit]:
+    """To what violations became where the pool has but a few rollouts, if all of it were there."""
+    fits = list[Fit]()
+    if found.scored is None:
+        return fits
+    own = pool_under(found.scored, pool.proposals, terms)
+    for rule in terms.rules or (None,):
+        theirs, all_of_it = (_under(each, rule) for each in (own, pool))
+        log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
+        scarce = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
+        scarce &= theirs.violated & found.moved
+        if not scarce.any():
+            continue
+        ancestor = found.ancestor[scarce]
+        families = np.unique(ancestor)
+        optimism = np.zeros(pool.count)
+        optimism[families] = IN_NO_WEIGHT
+        known = replace(settings, independent=families.size / ancestor.size)
+        some = _fits_to_some(found.scored.take(scarce), rule, terms, basis, known)
+        fits += [replace(fit, optimism=optimism) for fit in some]
+    return fits
+
+
+def _fits_to_some(
+    some: ScoredRollouts, rule: Rule, terms: Terms, basis: PolynomialBasis, settings: FitSettings
+) -> Sequence[Fit]:
+    """To rollouts that break a rule or some of its conjuncts, each counted alike."""
+    alike = _under(_all_alike(some, terms), rule).each_conjunct()
+    fits = [_fits_to_modes(one, basis, settings) for one in alike if one.violated.any()]
+    return [fit for each in fits for fit in each]
+
+
+def _under(pool: Pool, rule: Rule) -> Pool:
+    return pool if rule is None else pool.under_rule(rule)
 
 
 def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[IntArray]:
@@ -230,28 +284,38 @@ def with_taught(
 
 
 def against_chains(
-    explored: Explored, pool: Pool, estimate: Estimate, *, terms: Terms
+    explored: Explored, resampled: Resampled, pool: Pool, estimate: Estimate, *, terms: Terms
 ) -> tuple[Diagnostic, ...]:
-    """What is wrong with an estimate beside what chains found."""
+    """What is wrong with an estimate beside what chains found, and what violations became."""
     if estimate.probability == 0.0 or estimate.std_error is None:
         return ()
     log_estimate = math.log(10.0) * (estimate.log10_probability or 0.0)
     totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
-    if explored.scored is None:
-        return totals
-    own = pool_under(explored.scored, pool.proposals, terms)
-    own = own.under_rule(pool.rule) if pool.rule else own
-    violated = own.violated
-    if not violated.any():
-        return totals
-    log_weight, log_p = log_pool_weight(own, pool)[violated], explored.log_weight[violated]
-    log_moment = log_sum(log_p + log_weight) - log_sum(log_p)
-    excess = max(math.expm1(min(log_moment - log_estimate, MOST_NATS)), 0.0)
+    of_newest = resampled.of_newest
+    checks = [(explored.scored, explored.log_weight)]
+    checks += [(of_newest, np.zeros(0 if of_newest is None else of_newest.rollouts.count))]
+    errors = [
+        _relative_error(scored, log_weight, pool, log_estimate, terms)
+        for scored, log_weight in checks
+        if scored is not None
+    ]
     hardly = hardly_sampled(
-        by_chains=math.sqrt(excess / pool.sampled),
-        by_weights=estimate.std_error / estimate.probability,
+        by_chains=max(errors, default=0.0), by_weights=estimate.std_error / estimate.probability
     )
     return (*totals, *hardly)
+
+
+def _relative_error(
+    scored: ScoredRollouts, log_p: FloatArray, pool: Pool, log_estimate: float, terms: Terms
+) -> float:
+    """Of the estimate, as rollouts tell it that follow the model by their log weights ``[E]``."""
+    own = _under(pool_under(scored, pool.proposals, terms), pool.rule)
+    if not own.violated.any():
+        return 0.0
+    log_weight, log_p = log_pool_weight(own, pool)[own.violated], log_p[own.violated]
+    log_moment = log_sum(log_p + log_weight) - log_sum(log_p)
+    excess = max(math.expm1(min(log_moment - log_estimate, MOST_NATS)), 0.0)
+    return math.sqrt(excess / pool.sampled)
 
 
 def _totals(log_probability: FloatArray, log_estimate: float) -> tuple[Diagnostic, ...]:

@@ -58,7 +58,7 @@ from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, St
 from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimators import mixture_estimate
 from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
-from pemviz.sampling.mixture import stages
+from pemviz.sampling.mixture import rejuvenated, resampled, stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import (
     REPLICATE,
@@ -77,7 +77,8 @@ from pemviz.sampling.mixture.explored import (
 from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
-from pemviz.sampling.mixture.rejuvenated import SHARE, SPAWN_KEY, Rejuvenated
+from pemviz.sampling.mixture.rejuvenated import SHARE, Rejuvenated
+from pemviz.sampling.mixture.resampled import Resampled
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.mixture.surrogate import FIRST_REPETITION, LearnedOnSurrogate, Surrogate
 from pemviz.sampling.problem import Problem
@@ -168,6 +169,8 @@ class MixtureSampling:
         if not last:
             moved = self._rejuvenated(problem, state, sampled, component)
             state = replace(state, rejuvenated=moved)
+            moved = self._resampled(problem, state, sampled, component, pool)
+            state = replace(state, resampled=moved)
         advanced = replace(
             state,
             stage=state.stage + 1,
@@ -187,7 +190,8 @@ class MixtureSampling:
                 result = replace(result, kept={**result.kept, **found.kept})
         if last:
             return advanced, result
-        result = replace(result, kept={**result.kept, **state.rejuvenated.kept})
+        own = {**state.rejuvenated.kept, **state.resampled.kept}
+        result = replace(result, kept={**result.kept, **own})
         return self._learned(
             advanced, result, first=0 if state.pool is None else state.pool.sampled
         )
@@ -226,6 +230,7 @@ class MixtureSampling:
             defensive=stages.defence(state.steps),
             unknown=fits_to_unknown(
                 state.rejuvenated,
+                state.resampled,
                 pool,
                 terms=self._terms(state, basis),
                 basis=basis,
@@ -276,12 +281,36 @@ class MixtureSampling:
         """With some of what the stage has met."""
         joining = sampled.joining_beside(component)
         finished = problem.finished(state.repetition, state.stage)
-        keys = state.repetition, SPAWN_KEY, state.stage
+        keys = state.repetition, rejuvenated.SPAWN_KEY, state.stage
+        most = min(SHARE * self._planned_rollouts, self.most_moves - state.resampled.simulated)
         return state.rejuvenated.after(
             stages.watching(problem),
             joining.scored,
             component if joining.row is None else component[joining.row],
-            most=int(min(SHARE * self._planned_rollouts, self.most_moves)),
+            most=int(most),
+            seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
+            kept=None if finished is None else finished.kept,
+        )
+
+    def _resampled(
+        self,
+        problem: Problem,
+        state: MixtureState,
+        sampled: SampledStage,
+        component: IntArray,
+        pool: Pool,
+    ) -> Resampled:
+        """With some of what proposals sampled in a stage, where chains search."""
+        if state.explored is None or not state.fits:
+            return state.resampled
+        finished = problem.finished(state.repetition, state.stage)
+        keys = state.repetition, resampled.SPAWN_KEY, state.stage
+        return state.resampled.after(
+            stages.watching(problem),
+            sampled.joining_beside(component).scored,
+            pool,
+            tuning=state.explored.tuning,
+            most=self.most_moves - state.moved,
             seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
             kept=None if finished is None else finished.kept,
         )
@@ -376,7 +405,10 @@ class MixtureSampling:
         disagree = disagreements(pool, final=final)
         if state.explored is not None and state.basis is not None:
             terms = self._terms(state, state.basis)
-            disagree = (*disagree, *against_chains(state.explored, pool, found, terms=terms))
+            disagree = (
+                *disagree,
+                *against_chains(state.explored, state.resampled, pool, found, terms=terms),
+            )
         simulated = found.rollouts_simulated + state.searching
         found = replace(found, rollouts_simulated=simulated)
         return replace(found, diagnostics=(*found.diagnostics, *disagree, *wrong))

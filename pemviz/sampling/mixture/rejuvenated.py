@@ -17,7 +17,6 @@ from functools import cached_property
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, IntArray
-from pemviz.faults import of_no_rollouts
 from pemviz.sampling.mixture.balance_heuristic import EXPLORATION
 from pemviz.sampling.problem import Problem, score
 from pemviz.sampling.rollouts.losing import lost_rows
@@ -33,7 +32,7 @@ from pemviz.sampling.subset.rejuvenation import (
     violating,
     without_known,
 )
-from pemviz.sampling.subset.run import simulated_from
+from pemviz.sampling.subset.run import simulated_beside
 from pemviz.types import ScoredRollouts
 
 SHARE = 0.2
@@ -176,8 +175,7 @@ class Rejuvenated:
         if f"{KEPT}needed" not in own:
             return self._with(problem, None, own)
         numbers = RandomNumbers.of_kept(own, KEPT)
-        with of_no_rollouts():  # of the stage
-            rollouts, _ = simulated_from(problem, numbers)
+        rollouts = simulated_beside(problem, numbers)
         moved = Moved(numbers, rollouts, own[f"{KEPT}needed"], own[f"{KEPT}done"])
         return self._with(problem, moved, own)
 

@@ -43,6 +43,7 @@ from pemviz.sampling.mixture.estimate import replicates
 from pemviz.sampling.mixture.fit import Fit, has_many_features
 from pemviz.sampling.mixture.plain import PlainRollouts, PlainViolations
 from pemviz.sampling.mixture.rejuvenated import Rejuvenated
+from pemviz.sampling.mixture.resampled import Resampled
 from pemviz.sampling.mixture.surrogate import LearnedOnSurrogate
 from pemviz.sampling.problem import FinishedStage, Problem, ScoredRule, sample
 from pemviz.sampling.rollouts.large_stages import Thinned, Whole, least_robust, part_sizes
@@ -270,6 +271,7 @@ class MixtureState:
         explored: What chains found; ``None``: nothing was searched for.
         explored_fits: Proposals fitted to that; empty before the first stage.
         rejuvenated: Violations that exploration proposals have met, moved.
+        resampled: Violations of each stage, drawn by their weights and moved.
         on_surrogate: What a surrogate's rollouts have taught; ``None``: nothing was.
     """
 
@@ -295,6 +297,7 @@ class MixtureState:
     explored: Explored | None = None
     explored_fits: tuple[Fit, ...] = ()
     rejuvenated: Rejuvenated = field(default_factory=Rejuvenated)
+    resampled: Resampled = field(default_factory=Resampled)
     on_surrogate: LearnedOnSurrogate | None = None
 
     @property
@@ -315,13 +318,18 @@ class MixtureState:
     def searching(self) -> int:
         """Rollouts beside the stages', in which failure modes were searched for."""
         by_chains = 0 if self.explored is None else self.explored.simulated
-        return by_chains + self.rejuvenated.simulated
+        return by_chains + self.moved
+
+    @property
+    def moved(self) -> int:
+        """Those of them by which violations were moved."""
+        return self.rejuvenated.simulated + self.resampled.simulated
 
     @property
     def searched_last(self) -> int:
         """Those of them that came with the stage before."""
         by_chains = self.explored.simulated if self.explored and self.stage == 1 else 0
-        return by_chains + self.rejuvenated.newest
+        return by_chains + self.rejuvenated.newest + self.resampled.newest
 
     @property
     def final(self) -> slice:

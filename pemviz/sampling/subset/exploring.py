@@ -1,30 +1,31 @@
 """Violations that a few short runs of chains find, for methods that are to know of all their kinds.
 
 None of the runs has to be precise; they are independent of each other, and each searches all of the
-model's probability.
+model's probability. The run that finds their levels is one of those that search.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray
 from pemviz.faults import of_no_rollouts
+from pemviz.sampling.particles.runs import common_ancestry
 from pemviz.sampling.problem import Problem, score
-from pemviz.sampling.subset.moves import RandomNumbers
+from pemviz.sampling.subset.moves import RandomNumbers, Tuning
 from pemviz.sampling.subset.rejuvenation import violating
-from pemviz.sampling.subset.run import SubsetSimulation, simulated_from
+from pemviz.sampling.subset.run import SubsetSimulation, finding, simulated_beside
 from pemviz.types import ScoredRollouts
 
-RUNS, FEWEST_RUNS = 4, 2
-"""Of chains, beside the one that finds their levels; where few rollouts are left."""
+RUNS = 2
+"""Of chains, beside the one that finds their levels."""
 APART = 2
 """One in so many of the violations is kept: neighbours in a chain are nearly the same."""
 SPAWN_KEY = 2**32 - 3
 """Of the child of a repetition's seed that chains are sampled by."""
-KEPT = "explored."
+KEPT, TUNING = "explored.", "explored.moves."
 FIGURES = "log_weight", "log_probability", "simulated", "independent"
 
 
@@ -35,11 +36,13 @@ class Explored:
     Attributes:
         scored: E violations; ``None``: there are none.
         log_weight: Of each, by what its run found in all, ``[E]`` [nats].
-        log_probability: What each run found, without bias, ``[R]`` [nats]; -inf: nothing violated.
+        log_probability: What each run found, ``[R]`` [nats]; -inf: nothing violated. All but the
+            first, which found the levels, are without bias.
         simulated: Rollouts that it took.
         independent: As how large a share of the violations so many independent ones would tell as
             much: those of one ancestor are much alike.
         numbers: Of which the violations come; ``None`` where there are none.
+        tuning: Which moves brought most at the last level; ``None`` where there is none.
     """
 
     scored: ScoredRollouts | None
@@ -48,12 +51,15 @@ class Explored:
     simulated: int
     independent: float = 1.0
     numbers: RandomNumbers | None = None
+    tuning: Tuning | None = None
 
     @property
     def kept(self) -> dict[str, AnyArray]:
         """What a run that goes on takes up, by name."""
         own = {f"{KEPT}{name}": np.asarray(getattr(self, name)) for name in FIGURES}
-        return own if self.numbers is None else own | self.numbers.kept(KEPT)
+        if self.numbers is not None:
+            own |= self.numbers.kept(KEPT)
+        return own if self.tuning is None else own | self.tuning.kept(TUNING)
 
     @staticmethod
     def of_kept(problem: Problem, kept: Mapping[str, AnyArray]) -> "Explored | None":
@@ -70,53 +76,74 @@ class Explored:
         scored = numbers = None
         if log_weight.size:
             numbers = RandomNumbers.of_kept(kept, KEPT)
-            with of_no_rollouts():  # of the stage that comes after
-                rollouts, _ = simulated_from(problem, numbers)
-            scored = score(problem, rollouts)
-        return Explored(
+            scored = score(problem, simulated_beside(problem, numbers))
+        found = Explored(
             scored, log_weight, log_probability, int(simulated), float(independent), numbers
         )
+        known = any(name.startswith(TUNING) for name in kept)
+        return replace(found, tuning=Tuning.of_kept(kept, TUNING)) if known else found
 
 
 def explore(
     problem: Problem, *, rollouts: int, seed: int, repetition: int, most: float = math.inf
 ) -> Explored:
-    """Runs with ``rollouts`` a level, fewer where ``most`` rollouts are not enough for all.
+    """Runs with ``rollouts`` a level.
 
-    If they are not for two beside the one that finds levels, that one is cut off, and nothing is
-    found.
+    If ``most`` rollouts are not enough for all, the one that finds levels is cut off, and nothing
+    is found.
 
     Raises:
         SimulationError: Something raises, is no finite number, or a batch takes too long.
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(repetition, SPAWN_KEY)).spawn(RUNS + 1)
     first, *others = (np.random.default_rng(one) for one in seeds)
-    each = most / (1 + FEWEST_RUNS)
+    each = most / (1 + RUNS)
     if each < rollouts:
         return Explored(None, np.empty(0), np.empty(0), 0)
-    prepared, simulated = SubsetSimulation().prepare(
-        problem, count=rollouts, generator=first, most=each
-    )
-    affordable = (most - simulated) / prepared.most_rollouts(rollouts)
-    if prepared.is_cut_off or affordable < FEWEST_RUNS:
-        return Explored(None, np.empty(0), np.empty(0), simulated)
-    if affordable < RUNS:
-        others = others[: int(affordable)]
+    found = finding(problem, count=rollouts, generator=first, most=each)
+    between = SubsetSimulation(found.levels)
+    left = most - found.simulated
+    if found.last is None or left < RUNS * between.most_rollouts(rollouts):
+        return Explored(None, np.empty(0), np.empty(0), found.simulated)
     with of_no_rollouts():  # of the stage that comes after
-        runs = prepared.carry_out(problem, count=rollouts, generators=others)
-    simulated += sum(run.simulated for run in runs)
-    log_probability = np.array([run.log_probability for run in runs])
-    parts: list[ScoredRollouts] = []
-    log_weight = [np.empty(0)]
-    for run in runs:
-        few = np.flatnonzero(run.scored.violated)[::APART]
+        runs = between.carry_out(problem, count=rollouts, generators=others)
+    ends = [_End(run.scored, run.log_probability, run.common_ancestry) for run in runs]
+    scored = score(problem, found.last.rollouts)
+    ancestry = common_ancestry(found.last.ancestor[scored.violated])
+    ends = [_End(scored, found.log_probability, ancestry), *ends]
+    return replace(
+        _violations(problem, ends, first),
+        log_probability=np.array([end.log_probability for end in ends]),
+        simulated=found.simulated + sum(run.simulated for run in runs),
+        tuning=found.levels[-1].tuning if found.levels else None,
+    )
+
+
+@dataclass(frozen=True)
+class _End:
+    """Rollouts ``scored`` that a run ended with, what it found, and how much they are alike."""
+
+    scored: ScoredRollouts
+    log_probability: float
+    common_ancestry: float
+
+
+def _violations(problem: Problem, ends: Sequence[_End], generator: np.random.Generator) -> Explored:
+    """Of all runs."""
+    parts, log_weight, families = list[ScoredRollouts](), [np.empty(0)], 0.0
+    for end in ends:
+        few = np.flatnonzero(end.scored.violated)[::APART]
         if few.size:
-            parts.append(run.scored.take(few))
-            log_weight.append(np.full(few.size, run.log_probability - math.log(few.size)))
-    found = np.concatenate(log_weight)
+            parts.append(end.scored.take(few))
+            log_weight.append(np.full(few.size, end.log_probability - math.log(few.size)))
+            families += 1.0 / end.common_ancestry
+    found = Explored(None, np.concatenate(log_weight), np.empty(0), 0)
     if not parts:
-        return Explored(None, found, log_probability, simulated)
-    families = sum(1.0 / run.common_ancestry for run in runs if run.scored.violated.any())
-    scored, independent = ScoredRollouts.concatenate(parts), min(families / found.size, 1.0)
-    numbers = violating(problem, scored.rollouts, first).numbers
-    return Explored(scored, found, log_probability, simulated, independent, numbers)
+        return found
+    scored = ScoredRollouts.concatenate(parts)
+    return replace(
+        found,
+        scored=scored,
+        independent=min(families / found.log_weight.size, 1.0),
+        numbers=violating(problem, scored.rollouts, generator).numbers,
+    )

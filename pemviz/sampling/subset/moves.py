@@ -138,6 +138,20 @@ class Tuning:
     mirrors: float
     steps: int = 0
 
+    def kept(self, prefix: str) -> dict[str, AnyArray]:
+        """As it is kept beside a stage."""
+        return {
+            f"{prefix}{field.name}": np.array(getattr(self, field.name)) for field in fields(self)
+        }
+
+    @classmethod
+    def of_kept(cls, kept: Mapping[str, AnyArray], prefix: str) -> Self:
+        """What was kept so."""
+        scale, tried, gain, mirrors, steps = (
+            kept[f"{prefix}{field.name}"] for field in fields(cls)
+        )
+        return cls(float(scale), tried, gain, float(mirrors), int(steps))
+
     @staticmethod
     def begun(shape: Shape) -> "Tuning":
         """Nothing is known; a kind that cannot do anything is never tried."""

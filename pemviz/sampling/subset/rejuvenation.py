@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit, ndtri
 
 from pemviz.arrays import Batch, BoolArray, FloatArray, IntArray
-from pemviz.faults import SimulationError, of_no_rollouts
+from pemviz.faults import SimulationError
 from pemviz.sampling.problem import Problem, judged, side_by_side
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.subset.bisection import (
@@ -32,7 +32,7 @@ from pemviz.sampling.subset.bisection import (
     turned,
 )
 from pemviz.sampling.subset.moves import RandomNumbers
-from pemviz.sampling.subset.run import shape_of, simulated_from
+from pemviz.sampling.subset.run import shape_of, simulated_beside
 from pemviz.types import RolloutBatch
 
 NEARLY_ALL, MOST_OF_THEM, HALF = 0.8, 0.7, 0.5
@@ -197,12 +197,12 @@ class _SimulatedAhead:
             likely = tries.likely(shape, wanted, generator, most=self._most - wanted.count)
             numbers = RandomNumbers.concatenate([wanted, *likely])
             try:
-                self.rollouts = _simulated(self.problem, numbers)
+                self.rollouts = simulated_beside(self.problem, numbers)
             except SimulationError:
                 if not likely:
                     raise
                 numbers, self._most = wanted, 0
-                self.rollouts = _simulated(self.problem, numbers)
+                self.rollouts = simulated_beside(self.problem, numbers)
             self.place = {key: place for place, key in enumerate(_keys(numbers))}
         place = np.array([self.place[key] for key in keys])
         return Violating(wanted, self.rollouts.take(place))
@@ -241,7 +241,7 @@ def without_known(
     angle = np.where(np.pad(renewed[rows], ((0, 0), (1, 0))), ANEW, 0.0)
     shape, some = shape_of(problem), met.numbers.take(rows)
     numbers = turned(shape, some, angle=angle, fresh=shape.normals(generator, some.count))
-    tried = Violating(numbers, _simulated(problem, numbers))
+    tried = Violating(numbers, simulated_beside(problem, numbers))
     place = np.arange(met.count)
     place[rows] = met.count + np.arange(rows.size)
     met = Violating.concatenate([met, tried]).take(place)
@@ -301,9 +301,3 @@ def _missed_again(angle: FloatArray, before: Violating, tried: Violating) -> Boo
     again = ~before.rollouts.detected & ~tried.rollouts.detected
     by_step = again.reshape(len(again), angle.shape[1] - 1, -1).any(axis=2)
     return (by_step & (angle[:, 1:] != 0.0)).any(axis=1)
-
-
-def _simulated(problem: Problem, numbers: RandomNumbers) -> RolloutBatch:
-    with of_no_rollouts():  # of a stage
-        rollouts, _ = simulated_from(problem, numbers)
-    return rollouts

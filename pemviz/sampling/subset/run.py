@@ -112,16 +112,38 @@ Going = Generator[Wanted, Simulated, Found]
 
 
 @dataclass(frozen=True)
+class Finding:
+    """The run that finds levels.
+
+    Attributes:
+        levels: As far as there are any, or rollouts were left.
+        last: Its rollouts at or below the last of them; ``None``: too few were left to go on.
+        simulated: Rollouts that it took.
+    """
+
+    levels: tuple[Level, ...]
+    last: Population | None
+    simulated: int
+
+    @property
+    def log_probability(self) -> float:
+        """That any violates, a little off as the rollouts themselves chose the levels [nats]."""
+        if self.last is None:
+            return -math.inf
+        below = math.fsum(math.log(level.share) for level in self.levels)
+        violating = np.count_nonzero(self.last.score < VIOLATION_THRESHOLD)
+        return below + math.log(violating / self.last.score.size) if violating else -math.inf
+
+
+@dataclass(frozen=True)
 class SubsetSimulation:
     """Runs between given levels; none: they are yet to be found.
 
     Attributes:
         levels: They.
-        is_cut_off: Whether there are lower ones, which too few rollouts were left to find.
     """
 
     levels: tuple[Level, ...] = ()
-    is_cut_off: bool = False
     moved_share: ClassVar[float] = KEPT_SHARE
 
     def most_rollouts(self, count: int) -> int:
@@ -129,28 +151,15 @@ class SubsetSimulation:
         return count + sum(count - level.chains(count) for level in self.levels)
 
     def prepare(
-        self,
-        problem: Problem,
-        *,
-        count: int,
-        generator: np.random.Generator,
-        most: float = math.inf,
+        self, problem: Problem, *, count: int, generator: np.random.Generator
     ) -> "tuple[SubsetSimulation, int]":
         """With the levels that a run of ``count`` rollouts found, and what that simulated.
-
-        It is cut off before it takes more than ``most`` of them.
 
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-
-        def report(simulated: int) -> None:  # noqa: ARG001  how many it will be is not known
-            problem.progress(0, count)
-
-        with of_no_rollouts():  # of a run's that counts
-            going = _finding(problem, count=count, generator=generator, most=most)
-            (found,) = _in_step(problem, [going], report)
-        return found
+        found = finding(problem, count=count, generator=generator)
+        return SubsetSimulation(found.levels), found.simulated
 
     def carry_out(
         self, problem: Problem, *, count: int, generators: Sequence[np.random.Generator]
@@ -169,6 +178,26 @@ class SubsetSimulation:
             _run(problem, self.levels, count=count, generator=generator) for generator in generators
         ]
         return _in_step(problem, going, report)
+
+
+def finding(
+    problem: Problem, *, count: int, generator: np.random.Generator, most: float = math.inf
+) -> Finding:
+    """A run of ``count`` rollouts a level that finds levels.
+
+    It is cut off before it takes more than ``most`` of them.
+
+    Raises:
+        SimulationError: Something raises, is no finite number, or a batch takes too long.
+    """
+
+    def report(simulated: int) -> None:  # noqa: ARG001  how many it will be is not known
+        problem.progress(0, count)
+
+    with of_no_rollouts():  # of a run's that counts
+        going = _finding(problem, count=count, generator=generator, most=most)
+        (found,) = _in_step(problem, [going], report)
+    return found
 
 
 def _in_step(
@@ -222,6 +251,17 @@ def simulated_from(problem: Problem, numbers: RandomNumbers) -> Simulated:
     return rollouts, ranked(problem, rollouts.signals)
 
 
+def simulated_beside(problem: Problem, numbers: RandomNumbers) -> RolloutBatch:
+    """What comes of random numbers beside a stage, whose rollouts these are not.
+
+    Raises:
+        SimulationError: As :func:`simulated_from`.
+    """
+    with of_no_rollouts():
+        rollouts, _ = simulated_from(problem, numbers)
+    return rollouts
+
+
 def shape_of(problem: Problem) -> Shape:
     """How many random numbers a rollout takes."""
     counts, steps = latent_counts(problem.simulator), problem.simulator.states - 1
@@ -236,8 +276,8 @@ def _begun(shape: Shape, count: int, generator: np.random.Generator) -> Going[Po
 
 def _finding(
     problem: Problem, *, count: int, generator: np.random.Generator, most: float
-) -> Going[tuple[SubsetSimulation, int]]:
-    """A run that finds levels and learns of moves, and how many rollouts it took."""
+) -> Going[Finding]:
+    """A run that finds levels and learns of moves."""
     shape, levels, simulated = shape_of(problem), list[Level](), count
     tuning = Tuning.begun(shape)
     population = yield from _begun(shape, count, generator)
@@ -247,7 +287,7 @@ def _finding(
             break
         starts = population.take(np.flatnonzero(below))
         if simulated + count - starts.score.size > most:
-            return SubsetSimulation(tuple(levels), is_cut_off=True), simulated
+            return Finding(tuple(levels), None, simulated)
         simulated += count - starts.score.size
         level = Level(
             threshold=max(float(starts.score.max()), JUST_BELOW),
@@ -259,7 +299,7 @@ def _finding(
             starts, level, count=count, shape=shape, generator=generator, learns=True
         )
         levels.append(replace(level, tuning=tuning))
-    return SubsetSimulation(tuple(levels)), simulated
+    return Finding(tuple(levels), population, simulated)
 
 
 def _below_next_level(scores: FloatArray) -> BoolArray | None:
