@@ -162,6 +162,25 @@ def test_proposals_for_a_gap_have_no_part_in_the_weight_that_led_there(sampled):
             np.testing.assert_array_equal(np.flatnonzero(fit.optimism == IN_NO_WEIGHT), led)
 
 
+def test_each_of_several_rules_has_as_many_moved_and_keeps_them():
+    """Of two, one is broken a thousand times as often, wherever the other is too."""
+    drift = Drift(start_sd_m=1.0, noise_sd_m=0.0, states=3)
+    rules = {"near": drift.spec(0.5), "far": drift.spec(3.5)}
+    config = ExperimentConfig(method="mixture", chains=30, stages=2, plan=False).with_rules(rules)
+    whole = build_experiment(config, simulator=drift, pem=ConstantPem(0.1))
+    (before, _), (state, result) = list(states_of(whole))[1:3]
+    first = before.pool.count
+    newest = result.scored.take(state.pool.row[first:] - before.pool.sampled)
+    found = after(whole, state, newest, state.pool)
+    each = int(0.4 * newest.rollouts.count) // 2
+    assert found.ancestor.size == 2 * each
+    assert set(state.pool.rules) == {"near", "far"}
+    for rule, rows in zip(state.pool.rules, (slice(each), slice(each, None)), strict=True):
+        assert newest.broken[rule][found.ancestor[rows] - first].all()
+        assert found.scored.broken[rule][rows].all()
+        assert found.moved[rows].any()
+
+
 def test_an_interrupted_run_moves_nothing_again():
     whole = around(2, method="mixture", chains=60, rollouts=60, stages=3)
     state, results = stepped_through(whole.method, whole.problem)

@@ -19,12 +19,12 @@ or, where rollouts all start alike and a failure takes few steps, half of them t
 half of the stages, while the weights do not tell the probability of a violation well, a quarter
 come from one fitted to the lowest level of robustness whose probability they do tell
 (:mod:`pemviz.sampling.mixture.fit`).
-Another quarter comes from proposals for failure modes that exploration proposals have met, as long
-as the rollouts cannot tell how much of the estimate these have
-(:mod:`pemviz.sampling.mixture.explored`). With several rules each that was broken has
-proposals of its own, in equal shares, and so has each conjunct of a rule, by what it has of the
-estimate; a proposal and a rollout's likelihood go as far as the rule
-at hand is kept (:mod:`pemviz.sampling.mixture.balance_heuristic`).
+Another quarter comes from proposals for failure modes that exploration proposals have met, and for
+what violations come to when they are moved, as long as the rollouts cannot tell how much of the
+estimate these have (:mod:`pemviz.sampling.mixture.explored`). With several rules each that was
+broken has proposals of its own, in equal shares, and so has each conjunct of a rule, by what it has
+of the estimate; a proposal and a rollout's likelihood go as far as the rule at hand is kept
+(:mod:`pemviz.sampling.mixture.balance_heuristic`).
 
 Latents, where the scenario takes any, are moved beside outcomes: exploration proposals move one at
 a time up or down (:mod:`pemviz.proposals.exploration`), each fitted proposal has means of

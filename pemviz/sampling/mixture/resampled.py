@@ -77,7 +77,7 @@ class Resampled:
 
         Args:
             problem: Whose simulator remembers violations.
-            newest: The stage's rollouts, the last of the pool.
+            newest: The stage's rollouts that joined the pool, its last.
             pool: All, with their weights.
             tuning: Which moves brought most where chains searched; ``None``: nothing is known.
             most: Rollouts that it may take.
