@@ -234,9 +234,9 @@ class ExperimentConfig:
     depends on how fast the machine is. Left out, none."""
     chains: Annotated[int, Range(low=0, high=100_000)] | None = None
     """Rollouts a level of the Markov chains that search for failure modes before mixture fits
-    proposals; 0 to 100,000, 0: none do. Left out, 100 where rollouts begin at random or noise
-    enters, but none in scenarios with slots, as the logical scenarios are, and in environments that
-    are stepped one rollout at a time."""
+    proposals; 0 to 100,000, 0: none do. Left out, 100 where rollouts begin at random, 200 where
+    noise enters, but none in scenarios with slots, as the logical scenarios are, and in
+    environments that are stepped one rollout at a time."""
     stages: Annotated[int, Range(low=1, high=1000)] = 10
     """Learning stages (K); 1 to 1000."""
     rollouts: Annotated[int, Range(low=2, high=1_000_000)] = 100

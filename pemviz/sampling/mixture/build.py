@@ -11,8 +11,9 @@ from pemviz.sampling.state.composed import proposal_features
 from pemviz.simulators.episodic import episodic
 from pemviz.simulators.latents import latent_counts
 
-CHAINS = 100
-"""Rollouts a level of chains, where they search."""
+CHAINS, CHAINS_OF_NOISE = 100, 200
+"""Rollouts a level of chains, where they search; where each step has noise of its own, as there are
+more combinations to be met."""
 SURROGATE_TIMES = 4
 """Rollouts of a stage on a surrogate, for each of a stage on the simulator; where that is large,
 fewer."""
@@ -23,8 +24,9 @@ def mixture_of(config: ExperimentConfig, back_end: BackEnd) -> MixtureSampling:
     simulator = back_end.simulator
     # with slots, or one rollout at a time, the chains' few rollouts take as long as many
     one_by_one = episodic(simulator) is not None or unrolled(simulator) is not None
-    searches = bool(latent_counts(simulator)) and not one_by_one
-    chains = CHAINS if searches else 0
+    latents = latent_counts(simulator)
+    searches = bool(latents) and not one_by_one
+    chains = (CHAINS_OF_NOISE if latents.noise else CHAINS) if searches else 0
     largest = largest_part(states=simulator.states)
     surrogate = None
     if back_end.surrogate is not None:
