@@ -134,9 +134,8 @@ def _fits_to_rejuvenated(
     own, none = pool_under(moved, pool.proposals, terms), np.zeros(pool.count)
     for rule in terms.rules or (None,):
         theirs, all_of_it = (_under(each, rule) for each in (own, pool))
-        log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
-        unknown = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
-        for rows in _hardly_known(found, all_of_it, log_total):
+        unknown = _scarce(theirs, all_of_it)
+        for rows in _hardly_known(found, all_of_it):
             unknown[rows] = True
         unknown &= theirs.violated
         if unknown.any():
@@ -155,10 +154,8 @@ def _fits_to_resampled(
         return fits
     own = pool_under(found.scored, pool.proposals, terms)
     for rule in terms.rules or (None,):
-        theirs, all_of_it = (_under(each, rule) for each in (own, pool))
-        log_total = log_sum(all_of_it.log_weight[all_of_it.violated])
-        scarce = log_pool_weight(theirs, pool) > log_total - math.log(ENOUGH)
-        scarce &= theirs.violated & found.moved
+        theirs = _under(own, rule)
+        scarce = _scarce(theirs, _under(pool, rule)) & theirs.violated & found.moved
         if not scarce.any():
             continue
         ancestor = found.ancestor[scarce]
@@ -184,7 +181,16 @@ def _under(pool: Pool, rule: Rule) -> Pool:
     return pool if rule is None else pool.under_rule(rule)
 
 
-def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[IntArray]:
+def _scarce(own: Pool, pool: Pool) -> BoolArray:
+    """Of which other rollouts the pool has too few, if all of its estimate were of their mode."""
+    return log_pool_weight(own, pool) > _log_total(pool) - math.log(ENOUGH)
+
+
+def _log_total(pool: Pool) -> float:
+    return log_sum(pool.log_weight[pool.violated])
+
+
+def _hardly_known(found: Rejuvenated, pool: Pool) -> Iterator[IntArray]:
     """Rows of the modes that the pool's own rollouts in them tell little of.
 
     What was moved is what proposals are fitted to, and may be sampled more often than all else in
@@ -196,7 +202,7 @@ def _hardly_known(found: Rejuvenated, pool: Pool, log_total: float) -> Iterator[
         log_weight = pool.log_weight[violated[mode == number]]
         if not log_weight.size:
             continue
-        log_share = log_sum(log_weight) - log_total
+        log_share = log_sum(log_weight) - _log_total(pool)
         enough = max(ENOUGH * math.exp(log_share), FEW_OF_A_MODE)
         if log_share < math.log(LARGEST_SCARCE) and effective_sample_size(log_weight) < enough:
             yield rows
@@ -291,24 +297,26 @@ def against_chains(
         return ()
     log_estimate = math.log(10.0) * (estimate.log10_probability or 0.0)
     totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
-    of_newest = resampled.of_newest
-    checks = [(explored.scored, explored.log_weight)]
-    checks += [(of_newest, np.zeros(0 if of_newest is None else of_newest.rollouts.count))]
-    errors = [
-        _relative_error(scored, log_weight, pool, log_estimate, terms)
-        for scored, log_weight in checks
-        if scored is not None
-    ]
+    by_chains = max(
+        _relative_error(explored.scored, explored.log_weight, pool, log_estimate, terms),
+        _relative_error(resampled.of_newest, np.zeros(resampled.newest), pool, log_estimate, terms),
+    )
     hardly = hardly_sampled(
-        by_chains=max(errors, default=0.0), by_weights=estimate.std_error / estimate.probability
+        by_chains=by_chains, by_weights=estimate.std_error / estimate.probability
     )
     return (*totals, *hardly)
 
 
 def _relative_error(
-    scored: ScoredRollouts, log_p: FloatArray, pool: Pool, log_estimate: float, terms: Terms
+    scored: ScoredRollouts | None,
+    log_p: FloatArray,
+    pool: Pool,
+    log_estimate: float,
+    terms: Terms,
 ) -> float:
     """Of the estimate, as rollouts tell it that follow the model by their log weights ``[E]``."""
+    if scored is None:
+        return 0.0
     own = _under(pool_under(scored, pool.proposals, terms), pool.rule)
     if not own.violated.any():
         return 0.0

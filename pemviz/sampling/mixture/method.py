@@ -77,8 +77,7 @@ from pemviz.sampling.mixture.explored import (
 from pemviz.sampling.mixture.fit import Fit, FitSettings, next_proposals
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.pooling import Terms, extended, first_basis, with_plain
-from pemviz.sampling.mixture.rejuvenated import SHARE, Rejuvenated
-from pemviz.sampling.mixture.resampled import Resampled
+from pemviz.sampling.mixture.rejuvenated import SHARE
 from pemviz.sampling.mixture.stages import InParts, Joining, MixtureState, SampledStage
 from pemviz.sampling.mixture.surrogate import FIRST_REPETITION, LearnedOnSurrogate, Surrogate
 from pemviz.sampling.problem import Problem
@@ -167,10 +166,7 @@ class MixtureSampling:
         component = self._components(state, sampled.count)
         pool = self._pooled(state, basis, sampled, component)
         if not last:
-            moved = self._rejuvenated(problem, state, sampled, component)
-            state = replace(state, rejuvenated=moved)
-            moved = self._resampled(problem, state, sampled, component, pool)
-            state = replace(state, resampled=moved)
+            state = self._with_moved(problem, state, sampled, component, pool)
         advanced = replace(
             state,
             stage=state.stage + 1,
@@ -275,45 +271,45 @@ class MixtureSampling:
             return LearnedOnSurrogate(estimate)
         return LearnedOnSurrogate(estimate, state.fits, state.basis)
 
-    def _rejuvenated(
-        self, problem: Problem, state: MixtureState, sampled: SampledStage, component: IntArray
-    ) -> Rejuvenated:
-        """With some of what the stage has met."""
-        joining = sampled.joining_beside(component)
-        finished = problem.finished(state.repetition, state.stage)
-        keys = state.repetition, rejuvenated.SPAWN_KEY, state.stage
-        most = min(SHARE * self._planned_rollouts, self.most_moves - state.resampled.simulated)
-        return state.rejuvenated.after(
-            stages.watching(problem),
-            joining.scored,
-            component if joining.row is None else component[joining.row],
-            most=int(most),
-            seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
-            kept=None if finished is None else finished.kept,
-        )
-
-    def _resampled(
+    def _with_moved(
         self,
         problem: Problem,
         state: MixtureState,
         sampled: SampledStage,
         component: IntArray,
         pool: Pool,
-    ) -> Resampled:
-        """With some of what proposals sampled in a stage, where chains search."""
-        if state.explored is None or not state.fits:
-            return state.resampled
+    ) -> MixtureState:
+        """With some of what the stage has met, and, where chains search, of what it sampled."""
+        joining, watched = sampled.joining_beside(component), stages.watching(problem)
         finished = problem.finished(state.repetition, state.stage)
-        keys = state.repetition, resampled.SPAWN_KEY, state.stage
-        return state.resampled.after(
-            stages.watching(problem),
-            sampled.joining_beside(component).scored,
+        kept = None if finished is None else finished.kept
+
+        def seeds(key: int) -> np.random.SeedSequence:
+            keys = state.repetition, key, state.stage
+            return np.random.SeedSequence(self.seed, spawn_key=keys)
+
+        most = min(SHARE * self._planned_rollouts, self.most_moves - state.resampled.simulated)
+        met = state.rejuvenated.after(
+            watched,
+            joining.scored,
+            component if joining.row is None else component[joining.row],
+            most=int(most),
+            seeds=seeds(rejuvenated.SPAWN_KEY),
+            kept=kept,
+        )
+        state = replace(state, rejuvenated=met)
+        if state.explored is None or not state.fits:
+            return state
+        drawn = state.resampled.after(
+            watched,
+            joining.scored,
             pool,
             tuning=state.explored.tuning,
             most=self.most_moves - state.moved,
-            seeds=np.random.SeedSequence(self.seed, spawn_key=keys),
-            kept=None if finished is None else finished.kept,
+            seeds=seeds(resampled.SPAWN_KEY),
+            kept=kept,
         )
+        return replace(state, resampled=drawn)
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
         watched, finished = stages.watching(problem), problem.finished(state.repetition, 0)

@@ -5,8 +5,8 @@ model's probability. The run that finds their levels is one of those that search
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,10 +45,10 @@ class Explored:
         tuning: Which moves brought most at the last level; ``None`` where there is none.
     """
 
-    scored: ScoredRollouts | None
-    log_weight: FloatArray
-    log_probability: FloatArray
-    simulated: int
+    scored: ScoredRollouts | None = None
+    log_weight: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_probability: FloatArray = field(default_factory=lambda: np.empty(0))
+    simulated: int = 0
     independent: float = 1.0
     numbers: RandomNumbers | None = None
     tuning: Tuning | None = None
@@ -99,51 +99,37 @@ def explore(
     first, *others = (np.random.default_rng(one) for one in seeds)
     each = most / (1 + RUNS)
     if each < rollouts:
-        return Explored(None, np.empty(0), np.empty(0), 0)
+        return Explored()
     found = finding(problem, count=rollouts, generator=first, most=each)
     between = SubsetSimulation(found.levels)
     left = most - found.simulated
     if found.last is None or left < RUNS * between.most_rollouts(rollouts):
-        return Explored(None, np.empty(0), np.empty(0), found.simulated)
+        return Explored(simulated=found.simulated)
     with of_no_rollouts():  # of the stage that comes after
         runs = between.carry_out(problem, count=rollouts, generators=others)
-    ends = [_End(run.scored, run.log_probability, run.common_ancestry) for run in runs]
+    ends = [(run.scored, run.log_probability, run.common_ancestry) for run in runs]
     scored = score(problem, found.last.rollouts)
     ancestry = common_ancestry(found.last.ancestor[scored.violated])
-    ends = [_End(scored, found.log_probability, ancestry), *ends]
-    return replace(
-        _violations(problem, ends, first),
-        log_probability=np.array([end.log_probability for end in ends]),
+    ends = [(scored, found.log_probability, ancestry), *ends]
+    parts, log_weight, families = list[ScoredRollouts](), [np.empty(0)], 0.0
+    for scored, log_probability, ancestry in ends:
+        few = np.flatnonzero(scored.violated)[::APART]
+        if few.size:
+            parts.append(scored.take(few))
+            log_weight.append(np.full(few.size, log_probability - math.log(few.size)))
+            families += 1.0 / ancestry
+    explored = Explored(
+        log_weight=np.concatenate(log_weight),
+        log_probability=np.array([log_probability for _, log_probability, _ in ends]),
         simulated=found.simulated + sum(run.simulated for run in runs),
         tuning=found.levels[-1].tuning if found.levels else None,
     )
-
-
-@dataclass(frozen=True)
-class _End:
-    """Rollouts ``scored`` that a run ended with, what it found, and how much they are alike."""
-
-    scored: ScoredRollouts
-    log_probability: float
-    common_ancestry: float
-
-
-def _violations(problem: Problem, ends: Sequence[_End], generator: np.random.Generator) -> Explored:
-    """Of all runs."""
-    parts, log_weight, families = list[ScoredRollouts](), [np.empty(0)], 0.0
-    for end in ends:
-        few = np.flatnonzero(end.scored.violated)[::APART]
-        if few.size:
-            parts.append(end.scored.take(few))
-            log_weight.append(np.full(few.size, end.log_probability - math.log(few.size)))
-            families += 1.0 / end.common_ancestry
-    found = Explored(None, np.concatenate(log_weight), np.empty(0), 0)
     if not parts:
-        return found
+        return explored
     scored = ScoredRollouts.concatenate(parts)
     return replace(
-        found,
+        explored,
         scored=scored,
-        independent=min(families / found.log_weight.size, 1.0),
-        numbers=violating(problem, scored.rollouts, generator).numbers,
+        independent=min(families / explored.log_weight.size, 1.0),
+        numbers=violating(problem, scored.rollouts, first).numbers,
     )
