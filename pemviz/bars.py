@@ -19,17 +19,24 @@ def drawn_on_terminal(console: Console) -> bool:
     return console.is_terminal and console.file.isatty()
 
 
-def bar(console: Console, *counted: ProgressColumn, disable: bool = False) -> Progress:
-    """A bar that goes when it is done: what is under way, how far it is, the time left.
+def bar(console: Console, *words: ProgressColumn, width: int, disable: bool = False) -> Progress:
+    """A bar that goes when it is done: what is under way, how far it is, and that in words.
 
     Args:
         console: Where it is shown.
-        counted: Columns that say how far in numbers.
+        words: Columns that say how far in numbers, and how long it takes still.
+        width: Of the bar [characters].
         disable: Show nothing.
     """
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted,
-               TimeRemainingColumn(), TextColumn("left"))  # fmt: skip
+    columns = TextColumn("{task.description}", markup=False), BarColumn(width), *words
     return Progress(*columns, console=console, transient=True, disable=disable)
+
+
+def counting_bar(console: Console, *, unit: str = "", disable: bool = False) -> Progress:
+    """A bar of so many things, each a ``unit``, with the time left as rich has it."""
+    words = (MofNCompleteColumn(), *([TextColumn(unit)] if unit else []))
+    left = TimeRemainingColumn(), TextColumn("left")
+    return bar(console, *words, *left, width=40, disable=disable)
 
 
 @contextlib.contextmanager
@@ -37,7 +44,7 @@ def progress_bar(what: str) -> Generator[Callable[[int, int], None]]:
     """Yield a function that takes (steps done, steps in all); nothing but on a terminal."""
     console = Console(stderr=True)
     # elsewhere than on a terminal rich would leave an empty line
-    with bar(console, MofNCompleteColumn(), disable=not drawn_on_terminal(console)) as progress:
+    with counting_bar(console, disable=not drawn_on_terminal(console)) as progress:
         task = progress.add_task(what, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -51,7 +58,7 @@ def jobs_progress() -> Generator[Callable[[int, int, str], None]]:
             f"{done} of {total}: {label}", highlight=False, markup=False, soft_wrap=True
         )
         return
-    with bar(console, MofNCompleteColumn()) as progress:
+    with counting_bar(console) as progress:
         task = progress.add_task("starting", total=None)
         yield lambda done, total, label: progress.update(
             task, completed=done, total=total, description=label

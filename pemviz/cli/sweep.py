@@ -10,9 +10,8 @@ from typing import Annotated
 
 import tyro
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, TextColumn
 
-from pemviz.bars import bar, drawn_on_terminal
+from pemviz.bars import counting_bar, drawn_on_terminal
 from pemviz.cli.help import HelpPage
 from pemviz.cli.interrupt import stop_on_signals
 from pemviz.cli.parsing import Processes, parse_arguments
@@ -325,7 +324,7 @@ def _sweep_progress(total: int, *, done: int, quiet: bool) -> Generator[OnReport
 
 @contextlib.contextmanager
 def _bar(console: Console, *, total: int, done: int) -> Generator[OnReport, None, None]:
-    with bar(console, MofNCompleteColumn(), TextColumn("runs,")) as progress:
+    with counting_bar(console, unit="runs,") as progress:
         task = progress.add_task("starting", total=total, completed=done)
 
         def show(report: RunReport) -> None:

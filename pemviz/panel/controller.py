@@ -21,50 +21,15 @@ from pemviz.panel.run_data import ProposalCurve, RunData, own_scenario
 from pemviz.runs import events
 from pemviz.runs.engine import run as run_engine
 from pemviz.runs.experiment import build_experiment
+from pemviz.runs.forecast import Progress, progress_now
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
 from pemviz.runs.run_folder import carry_out, create_run_folder
 from pemviz.runs.workers import no_use, own_process
-from pemviz.sampling.registry import by_name
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of
 
 LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a run is; stage and repetition are zero-based.
-
-    Attributes:
-        by_level: Whether ``done`` and ``planned`` tell how far splitting's levels have come, and
-            count no rollouts.
-        goes_on: Whether stages and rollouts are what it begins with, so that no end is known.
-        workers: Who simulates, in words; empty: this process.
-    """
-
-    repetition: int
-    repetitions: int
-    stage: int
-    stages: int
-    done: int
-    planned: int
-    elapsed_s: float
-    by_level: bool = False
-    goes_on: bool = False
-    workers: str = ""
-
-    @property
-    def share(self) -> float:
-        """Done share of the rollouts, 0 to 1."""
-        return min(self.done / self.planned, 1.0) if self.planned else 0.0
-
-    @property
-    def left_s(self) -> float | None:
-        """Time left if the rest takes as long a rollout as what is done; unknown at first."""
-        if self.goes_on:
-            return None
-        return self.elapsed_s * (1.0 - self.share) / self.share if self.share > 0.0 else None
 
 
 class Watcher:
@@ -83,50 +48,32 @@ class Watcher:
         self._folder = folder
         self._own = own
         self._publish = publish
-        self._began_s = time.monotonic()
-        self._done_before = 0
         self.run: RunData | None = None
-        self.progress = Progress(0, 1, 0, 1, 0, 0, 0.0, workers=workers)
+        self.progress = progress_now(workers=workers)
 
     def notify(self, event: events.Event) -> None:
         """Publish what ``event`` adds."""
+        self.progress = self.progress.after(event, now_s=time.monotonic())
         match event:
             case events.RunStarted():
                 self._start(event)
-            case events.RolloutsDone(again=True):
-                pass
-            case events.RolloutsDone():
-                self.progress = replace(
-                    self.progress,
-                    repetition=event.repetition,
-                    stage=event.stage,
-                    done=self._done_before + event.done,
-                )
             case events.StageDone():
                 self._add_stage(event.stage, event.result)
             case events.RepetitionDone() | events.RunDone() | events.RunFailed():
                 if self.run is not None:
                     going_on = isinstance(event, events.RepetitionDone)
                     self.run = replace(self.run, result=event.result, running=going_on)
-        elapsed_s = time.monotonic() - self._began_s
-        self.progress = replace(self.progress, elapsed_s=elapsed_s)
+            case events.RolloutsDone():
+                pass
         if self.run is not None:
             self._publish(self.run, self.progress)
 
     def _start(self, event: events.RunStarted) -> None:
-        self._started, method = event, by_name(event.config.method)
+        self._started = event
         gap_m, detection = np.empty(0), np.empty(0)
         if self._own is None and any(signal.name == GAP for signal in event.signals):
             gap_m = gap_grid(event.simulator)
             detection = pem_curve(simulator=event.simulator, pem=event.pem, gap_m=gap_m)
-        self.progress = replace(
-            self.progress,
-            repetitions=event.config.repetitions,
-            stages=event.stages,
-            planned=event.planned_rollouts,
-            by_level=method.counting == "level",
-            goes_on=method.most is not None,
-        )
         self.run = RunData(
             result=event.result,
             gap_m=gap_m,
@@ -140,9 +87,6 @@ class Watcher:
         run, started = self.run, self._started
         if run is None or started is None:
             return
-        count = stage.count
-        self._done_before += count
-        self.progress = replace(self.progress, done=self._done_before, stage=stage.stage + 1)
         part = stage_arrays(stage, started.signals)
         part[ROLLOUT] = numbers_of(stage.scored.rollouts.count, stage.sampled)
         self.run = replace(
@@ -150,7 +94,7 @@ class Watcher:
             result=result,
             curves=(*run.curves, *self._curve(stage, started, run.gap_m)),
             parts=thinned((*run.parts, part), stages=result.stages),
-            simulated=run.simulated + count,
+            simulated=run.simulated + stage.count,
         )
 
     def _curve(

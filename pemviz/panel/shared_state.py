@@ -1,8 +1,9 @@
 """What all pages are told as it changes: the run shown, and how far the one under way is."""
 
-from pemviz.panel.controller import PanelState, Progress
+from pemviz.panel.controller import PanelState
 from pemviz.panel.run_summary import summary
 from pemviz.panel.site import Json
+from pemviz.runs.forecast import Progress, counted_in_words, left_in_words
 
 LONG_S = 30.0
 """From when on it is told how many rollouts a minute brings."""
@@ -44,19 +45,8 @@ def _progress_text(progress: Progress) -> str:
         words = f"Stage {min(progress.stage, progress.stages - 1)} of {progress.stages - 1}"
     if progress.repetitions > 1:
         words = f"Repetition {progress.repetition + 1} of {progress.repetitions}, {words.lower()}"
-    if progress.by_level:
-        words += f": {progress.share:.0%} of the way to violations"
-    elif progress.goes_on:
-        words += f": {progress.done:,} rollouts, until the interval is as narrow as requested"
-    else:
-        words += f": {progress.done:,} of {progress.planned:,} rollouts"
+    words += f": {counted_in_words(progress)}"
     words += f" {progress.workers}" if progress.workers else ""
     if progress.elapsed_s >= LONG_S and not progress.by_level:
         words += f", {60.0 * progress.done / progress.elapsed_s:,.0f} a minute"
-    left_s = progress.left_s
-    if left_s is None:
-        return words
-    left = f"{max(1, round(left_s))} s"
-    if left_s >= 90.0:
-        left = f"{round(left_s / 60)} min" if left_s < 5400.0 else f"{left_s / 3600:.1f} h"
-    return f"{words}, about {left} left"
+    return ", ".join(filter(None, (words, left_in_words(progress))))

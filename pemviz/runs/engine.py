@@ -35,6 +35,8 @@ from pemviz.sampling.estimates.repetitions import summarise_repetitions
 from pemviz.sampling.kept import KeepsColumns
 from pemviz.sampling.method import (
     AnswersRules,
+    Foreseen,
+    ForeseesRollouts,
     LearnsOnSurrogate,
     Method,
     PoolsStages,
@@ -288,7 +290,8 @@ class _Runner:
                 lost = lost.with_stage(result, problem)
                 told = (self._lost + lost.weighed()).told(problem)
                 self._keep(replace(self._interpreted.result, lost=told))
-            self._notify_of_stage(result)
+            foresees = isinstance(method, ForeseesRollouts)
+            self._notify_of_stage(result, method.foreseen(state) if foresees else None)
             for interpreted in interpret(
                 self._interpreted, experiment=self._experiment, stage=result
             ):
@@ -355,12 +358,12 @@ class _Runner:
             message = f"an observer raises {faults.exception_text(error)}"
             raise RunError(message, traceback_text=faults.traceback_of(error)) from error
 
-    def _notify_of_stage(self, stage: StageResult) -> None:
+    def _notify_of_stage(self, stage: StageResult, foreseen: Foreseen | None) -> None:
         result = self._keep(with_stage(self._interpreted.result, stage))
         folding = self._experiment.folding
         scored = stage.scored if folding is None else folding.scored(stage.scored)
         frozen = replace(stage, scored=_frozen(scored))
-        self._notify(events.StageDone(stage=frozen, result=result))
+        self._notify(events.StageDone(stage=frozen, result=result, foreseen=foreseen))
 
     def _keep(self, result: RunResult) -> RunResult:
         """Keep what is known by now, with the time that it took."""

@@ -8,6 +8,7 @@ from pemviz.arrays import AnyArray
 from pemviz.config import ExperimentConfig
 from pemviz.pem import Pem
 from pemviz.runs.result import RunResult
+from pemviz.sampling.method import Foreseen
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Estimate, Signal, Simulator, StageResult
 
@@ -60,10 +61,17 @@ class RolloutsDone:
 
 @dataclass(frozen=True)
 class StageDone:
-    """A stage is done, in the scenario's own steps; its arrays are read-only."""
+    """A stage is done.
+
+    Attributes:
+        stage: In the scenario's own steps; its arrays are read-only.
+        result: The run's result so far.
+        foreseen: What its repetition has still to sample; ``None`` where a method does not tell.
+    """
 
     stage: StageResult
     result: RunResult
+    foreseen: Foreseen | None = None
 
 
 @dataclass(frozen=True)

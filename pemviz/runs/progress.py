@@ -5,19 +5,19 @@ import time
 from collections.abc import Generator
 
 from rich.console import Console
-from rich.progress import (
-    Progress,
-    TaskID,
-    TextColumn,
-)
+from rich.progress import Progress as Bars
+from rich.progress import ProgressColumn, Task, TaskID
+from rich.table import Column
+from rich.text import Text
 
 from pemviz.bars import bar, drawn_on_terminal
 from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
+from pemviz.runs.forecast import Progress, counted_in_words, left_in_words, progress_now
 from pemviz.runs.ranking import summarise_stage
 from pemviz.runs.result import StageSummary
-from pemviz.sampling.registry import by_name
 
 QUARTERS = 4
+BAR_WIDTH = 12
 SILENT_S = 30.0
 REPEATED = "simulated again"
 
@@ -25,76 +25,74 @@ REPEATED = "simulated again"
 class ProgressBar:
     """Observer that shows stage, threshold, failures and time left."""
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
+    def __init__(self, bars: Bars) -> None:
+        self._bars = bars
         self._task: TaskID | None = None
-        self._done_before = 0
-        self._repetitions = 1
-        self._planned = 0
-        self._by_level = False
+        self._progress = progress_now()
 
     def notify(self, event: Event) -> None:
         """Move the bar."""
+        self._progress = self._progress.after(event, now_s=time.monotonic())
         match event:
             case RunStarted():
-                self._repetitions = event.config.repetitions
-                self._planned = event.planned_rollouts
-                self._by_level = by_name(event.config.method).counting == "level"
-                self._task = self._progress.add_task("starting", total=self._planned, counted="")
+                self._task = self._bars.add_task("starting", total=1.0, progress=self._progress)
             case RolloutsDone(again=True):
-                text = f"{REPEATED}: {event.done} of {event.total}"
-                self._move(self._done_before, description=text)
+                self._move(description=f"{REPEATED}: {event.done} of {event.total}")
             case RolloutsDone():
-                self._move(self._done_before + event.done)
+                self._move()
             case StageDone():
-                self._done_before += event.stage.count
-                text = stage_line(summarise_stage(event.stage), repetitions=self._repetitions)
-                self._move(self._done_before, description=text)
+                stage = summarise_stage(event.stage)
+                self._move(description=stage_line(stage, repetitions=self._progress.repetitions))
             case _:
                 pass
 
-    def _move(self, done: int, *, description: str | None = None) -> None:
+    def _move(self, *, description: str | None = None) -> None:
         if self._task is not None:
-            counted = counted_in_words(done, self._planned, by_level=self._by_level)
-            self._progress.update(
-                self._task, completed=done, counted=counted, description=description
+            self._bars.update(
+                self._task,
+                completed=self._progress.share,
+                progress=self._progress,
+                description=description,
             )
 
 
-def counted_in_words(done: int, planned: int, *, by_level: bool) -> str:
-    """How far a run is; ``by_level``: by the levels passed, not by rollouts."""
-    if by_level:
-        return f"{done / max(planned, 1):.0%} of the way to violations"
-    return f"{done:,} of {planned:,} rollouts"
+class _Words(ProgressColumn):
+    """How far a run is in words, and how long it takes still by the clock."""
+
+    def render(self, task: Task) -> Text:
+        """Of the run's one task."""
+        progress: Progress = task.fields["progress"]
+        left = left_in_words(progress, now_s=time.monotonic())
+        return Text(", ".join(filter(None, (counted_in_words(progress), left))))
 
 
 class ProgressLines:
     """Observer that prints a line where a quarter of the stages is done, or of the repetitions.
 
-    What takes long is told of more often: once in :data:`SILENT_S`, if a batch of rollouts ends.
+    What takes long is told of more often: once in :data:`SILENT_S`, if a batch of rollouts ends;
+    and how long it takes still, where that is so long.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._repetitions = 1
-        self._stages = 1
+        self._progress = progress_now()
         self._reported_s = time.monotonic()
 
     def notify(self, event: Event) -> None:
         """Print what is done."""
+        self._progress = self._progress.after(event, now_s=time.monotonic())
+        repetitions = self._progress.repetitions
         match event:
-            case RunStarted():
-                self._repetitions, self._stages = event.config.repetitions, event.stages
             case RolloutsDone() if event.done < event.total and self._is_silent():
-                of = f", repetition {event.repetition + 1}" if self._repetitions > 1 else ""
+                of = f", repetition {event.repetition + 1}" if repetitions > 1 else ""
                 at = REPEATED if event.again else f"stage {event.stage}"
                 self._print(f"{at}{of}: {event.done} of {event.total} rollouts")
-            case StageDone() if self._repetitions == 1:
-                if self._is_due(event.stage.stage, self._stages):
+            case StageDone() if repetitions == 1:
+                if self._is_due(event.stage.stage, self._progress.stages):
                     self._print(stage_line(summarise_stage(event.stage), repetitions=1))
-            case RepetitionDone() if self._repetitions > 1:
-                if self._is_due(event.repetition, self._repetitions):
-                    number = f"repetition {event.repetition + 1} of {self._repetitions}"
+            case RepetitionDone() if repetitions > 1:
+                if self._is_due(event.repetition, repetitions):
+                    number = f"repetition {event.repetition + 1} of {repetitions}"
                     self._print(f"{number}: probability {event.estimate.probability:.3g}")
             case _:
                 pass
@@ -109,6 +107,9 @@ class ProgressLines:
 
     def _print(self, text: str) -> None:
         self._reported_s = time.monotonic()
+        left_s = self._progress.left_s
+        if left_s is not None and left_s >= SILENT_S:
+            text = f"{text}; {left_in_words(self._progress)}"
         self._console.print(text, highlight=False, markup=False)
 
 
@@ -141,5 +142,5 @@ def progress_observer(*, quiet: bool = False) -> Generator[Observer, None, None]
     elif not drawn_on_terminal(console):
         yield ProgressLines(console)
     else:
-        with bar(console, TextColumn("{task.fields[counted]},")) as progress:
-            yield ProgressBar(progress)
+        with bar(console, _Words(Column(no_wrap=True)), width=BAR_WIDTH) as bars:
+            yield ProgressBar(bars)

@@ -65,6 +65,32 @@ class Method(Protocol[State]):
         ...
 
 
+@dataclass(frozen=True)
+class Foreseen:
+    """What a repetition has still to sample, by what was decided after the stage before.
+
+    Attributes:
+        rollouts: In stages.
+        learning_stages: Stages that are learned from.
+        searches: Rollouts beside the stages', in which failure modes may be searched for.
+        may_grow: Whether what is learned may ask for more.
+    """
+
+    rollouts: int
+    learning_stages: int = 0
+    searches: int = 0
+    may_grow: bool = False
+
+
+@runtime_checkable
+class ForeseesRollouts(Protocol[State_contra]):
+    """A method that tells how far it is."""
+
+    def foreseen(self, state: State_contra) -> Foreseen | None:
+        """What is left of a repetition; ``None`` while that cannot be told."""
+        ...
+
+
 @runtime_checkable
 class PoolsStages(Protocol[State_contra]):
     """A method whose estimate averages the rollouts of all stages, weighted together."""

@@ -15,7 +15,7 @@ from pemviz.analysis.sensitivity import BandSensitivity
 from pemviz.charts.svg import Axis, Plot, nice_ticks
 from pemviz.errors import InputError
 from pemviz.panel import compare_page, learning_page, weights_page, why_page
-from pemviz.panel.controller import PanelState, Progress
+from pemviz.panel.controller import PanelState
 from pemviz.panel.pieces import drawn, number
 from pemviz.panel.ranking import rank, row, shares
 from pemviz.panel.rollout_charts import step_words, track, track_charts
@@ -28,6 +28,7 @@ from pemviz.reports.estimate_words import short_probability
 from pemviz.reports.html import sections_html
 from pemviz.reports.run_document import run_document
 from pemviz.runs.drawn_rollout import RIGHT
+from pemviz.runs.forecast import Progress
 from pemviz.runs.result import PemInfo, RunMemory
 from pemviz.runs.uncertainty import run_diagnostics
 from pemviz.sampling.zero_variance.reference import Reference
@@ -163,20 +164,20 @@ def test_a_strangers_recording_cannot_smuggle_markup(naive_run):
 
 
 def test_status_tells_stage_rollouts_and_time_left():
-    progress = Progress(0, 1, 4, 12, 500, 1200, 10.0)
-    text = status_words(PanelState(running=True, progress=progress))
+    at = Progress(began_s=0.0, now_s=10.0, stage=4, stages=12, before=500, planned=1200)
+    at = replace(at, share=500 / 1200, sampled=500, sampled_s=10.0)
+    text = status_words(PanelState(running=True, progress=at))
     assert "Stage 4 of 11: 500 of 1,200 rollouts, about 14 s left" in text
-    levels = status_words(PanelState(running=True, progress=replace(progress, by_level=True)))
+    levels = status_words(PanelState(running=True, progress=replace(at, by_level=True)))
     assert "Stage 4 of 11: 42% of the way to violations, about 14 s left" in levels
-    open_end = status_words(PanelState(running=True, progress=replace(progress, goes_on=True)))
-    assert "Stage 4: 500 rollouts, until the interval is as narrow as requested" in open_end
-    assert "left" not in open_end
-    slow = status_words(
-        PanelState(
-            running=True, progress=replace(progress, elapsed_s=60.0, workers="by 4 processes")
-        )
-    )
-    assert "500 of 1,200 rollouts by 4 processes, 500 a minute, about 84 s left" in slow
+    grows = replace(at, goes_on=True, may_grow=True)
+    open_end = status_words(PanelState(running=True, progress=grows))
+    assert open_end == "Stage 4: 500 of 1,200 rollouts, about 14 s left, or more"
+    unknown = status_words(PanelState(running=True, progress=replace(grows, planned=0)))
+    assert unknown == "Stage 4: 500 rollouts"
+    by_workers = replace(at, now_s=60.0, sampled_s=60.0, workers="by 4 processes")
+    slow = status_words(PanelState(running=True, progress=by_workers))
+    assert "500 of 1,200 rollouts by 4 processes, 500 a minute, about 87 s left" in slow
     assert "Stopping" in status_words(PanelState(running=True, stopping=True))
     assert "Ready" in status_words(PanelState())
 

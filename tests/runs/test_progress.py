@@ -14,12 +14,8 @@ from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.panel.controller import Watcher
 from pemviz.reports.terminal import print_summary
 from pemviz.runs.engine import run_experiment
-from pemviz.runs.progress import (
-    ProgressBar,
-    ProgressLines,
-    counted_in_words,
-    progress_observer,
-)
+from pemviz.runs.forecast import counted_in_words, progress_now
+from pemviz.runs.progress import ProgressBar, ProgressLines, progress_observer
 from tests.reports.runs import EXPLANATION, PLAN, estimate, result
 
 EASY = ScenarioConfig(states=45, emergency_gap_m=12.0)
@@ -41,7 +37,7 @@ class Displays:
         self.shares.append((task.completed / task.total, self._watcher.progress.share))
 
 
-@pytest.mark.parametrize("method", ["mixture", "splitting", "subset", "monte-carlo"])
+@pytest.mark.parametrize("method", ["auto", "mixture", "splitting", "subset", "monte-carlo"])
 def test_both_displays_go_from_nothing_to_the_whole(method):
     config = ExperimentConfig(
         method=method,
@@ -70,8 +66,9 @@ def test_a_notebook_that_asks_for_colours_is_no_terminal(monkeypatch, capsys):
 
 
 def test_what_is_counted_is_said():
-    assert counted_in_words(1200, 3400, by_level=False) == "1,200 of 3,400 rollouts"
-    assert counted_in_words(50, 200, by_level=True) == "25% of the way to violations"
+    at = replace(progress_now(), before=1200, planned=3400, share=0.25)
+    assert counted_in_words(at) == "1,200 of 3,400 rollouts"
+    assert counted_in_words(replace(at, by_level=True)) == "25% of the way to violations"
 
 
 def test_elsewhere_than_on_a_terminal_four_lines_tell_of_the_stages(monkeypatch):

@@ -41,8 +41,8 @@ from pemviz.binomial import exact_interval
 from pemviz.proposals.fixed import PemProposal
 from pemviz.sampling.estimates.diagnostics import not_searched, plain_disagreement, undermining
 from pemviz.sampling.estimates.estimators import CONFIDENCE, monte_carlo_estimate
-from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
-from pemviz.sampling.mixture import stages
+from pemviz.sampling.method import Foreseen, SurrogateLearning, final_stage, finished_or
+from pemviz.sampling.mixture import resampled, stages
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.rejuvenated import SHARE
@@ -517,6 +517,24 @@ class AutoSampling:
             return len(state.plain) == state.first_counted + len(state.sizes)
         proposing = state.proposing
         return proposing is not None and proposing.method.is_done(proposing.state)
+
+    def foreseen(self, state: AutoState) -> Foreseen | None:
+        """What is left of a count, or of proposals; ``None`` until either is chosen."""
+        if state.sizes:
+            return Foreseen(sum(state.sizes[len(state.plain) - state.first_counted :]))
+        if state.proposing is None:
+            return None
+        method, inner = state.proposing.method, state.proposing.state
+        found = method.foreseen(inner)
+        left = max(self.limits.most_in_all - state.simulated, 0)
+        rollouts, learning = min(found.rollouts, left), found.learning_stages
+        searches = 0.0
+        if method.chains:
+            searches += resampled.MOST * learning
+        if inner.pool is None:
+            searches += CHAINS_COST * method.chains + SHARE * rollouts
+        searches = min(searches, left - rollouts)
+        return Foreseen(int(rollouts), learning, int(searches), may_grow=learning > 0)
 
     def estimate(self, state: AutoState) -> Estimate:
         """The plain count, or the estimate by proposals, held against the count.

@@ -57,7 +57,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import PolynomialBasis, SignalFeatures, StateFeatures
 from pemviz.sampling.estimates.diagnostics import not_absorbing
 from pemviz.sampling.estimates.estimators import mixture_estimate
-from pemviz.sampling.method import SurrogateLearning, final_stage, finished_or
+from pemviz.sampling.method import Foreseen, SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import rejuvenated, resampled, stages
 from pemviz.sampling.mixture.balance_heuristic import Planned, Pool
 from pemviz.sampling.mixture.estimate import (
@@ -360,6 +360,12 @@ class MixtureSampling:
     def is_done(self, state: MixtureState) -> bool:
         """Whether the final rollouts are sampled."""
         return len(state.frozen) == len(self._final_sizes())
+
+    def foreseen(self, state: MixtureState) -> Foreseen:
+        """What is left of the stages; a large one that is learned from may be over sooner."""
+        learning = max(self.learning_stages + 1 - state.stage, 0)
+        final = sum(self._final_sizes()[len(state.frozen) :])
+        return Foreseen(learning * self.rollouts + final, learning)
 
     def estimate(self, state: MixtureState) -> Estimate:
         """The estimate from all rollouts, and the unbiased one from the final batch.
