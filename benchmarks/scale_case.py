@@ -10,7 +10,7 @@ from numpy.random import SeedSequence
 from pemviz.config import ExperimentConfig, KeepName, ScenarioConfig
 from pemviz.proposals.fixed import PemProposal
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.problem import sample
 
 
@@ -33,7 +33,7 @@ def run_case(
     experiment = build_experiment(config)
     sample(experiment.problem, proposal=PemProposal(), count=2, seeds=SeedSequence(0))  # imports
     began = time.perf_counter()
-    result = carry_out(experiment, folder)
+    result = record(experiment, folder)
     return {
         "run_s": time.perf_counter() - began,
         "simulation_s": result.timings_s["simulation"],

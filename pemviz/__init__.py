@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pemviz.runs.replay import Replayed, replay
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import result_document
-    from pemviz.runs.run_folder import RunStore
+    from pemviz.runs.run_folder import RunStore, record
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.component import Known
     from pemviz.sampling.state.hidden import HiddenProperty
@@ -75,7 +75,7 @@ _HOMES = {
     "runs.replay": "Replayed replay",
     "runs.result": "RunResult",
     "runs.result_file": "result_document",
-    "runs.run_folder": "RunStore",
+    "runs.run_folder": "RunStore record",
     "sampling.description": "MethodDescription",
     "sampling.state.component": "Known",
     "sampling.state.hidden": "HiddenProperty",
@@ -110,7 +110,8 @@ __all__ = [
     "Slot", "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState",
     "UndecidedError", "__version__", "build_experiment", "named_detections_action",
     "quantised_start", "raise_if_undecided", "read_result", "read_rollout", "read_rollouts",
-    "replay", "result_document", "run", "run_experiment", "side_by_side", "summary_text", "tracked",
+    "record", "replay", "result_document", "run", "run_experiment", "side_by_side",
+    "summary_text", "tracked",
 ]  # fmt: skip
 
 

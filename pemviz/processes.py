@@ -37,6 +37,7 @@ Result = TypeVar("Result")
 DIED = "worker process died: killed, or the machine is out of memory"
 KILLED = 9
 """The signal by which the system, out of memory, ends a process, and a pool the rest of its own."""
+GUARD = 'a program must begin its work under if __name__ == "__main__":'
 POLL_S = 0.2
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
@@ -324,7 +325,16 @@ def ending_told(words: str) -> Generator[None, None, None]:
                 waiting.communicate(b"over\n")
 
 
+def _is_program() -> bool:
+    """Whether what runs is a script of the user's own, which processes that are spawned import."""
+    main = sys.modules["__main__"]
+    is_script = getattr(main, "__spec__", None) is None
+    return is_script and Path(getattr(main, "__file__", "")).stem not in {"", __package__}
+
+
 def _ending(exit_code: int) -> str:
+    if exit_code == 1 and _is_program():  # its import in the process may have begun the work anew
+        return f"the process ended with exit code 1; {GUARD}"
     if exit_code >= 0:
         return f"the process ended with exit code {exit_code}"
     with contextlib.suppress(ValueError):  # of a signal that has no name here

@@ -6,7 +6,7 @@ import pemviz
 from pemviz.runs.reading import read_result
 from pemviz.runs.result import RunMemory
 from pemviz.runs.result_file import write_result
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.bursts.curve import CurvePoint
 
 COUNTED = pemviz.ExperimentConfig(
@@ -34,8 +34,7 @@ HIGHEST = 0.3
 
 
 def make_run(folder, config):
-    folder.mkdir(parents=True)
-    carry_out(pemviz.build_experiment(config), folder)
+    record(pemviz.build_experiment(config), folder)
     return folder
 
 

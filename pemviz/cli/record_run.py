@@ -23,7 +23,8 @@ from pemviz.runs.progress import progress_observer
 from pemviz.runs.reading import CONFIG, result_left
 from pemviz.runs.result import RunResult
 from pemviz.runs.result_file import result_document
-from pemviz.runs.run_folder import FORMER, carry_out, create_run_folder, is_short, may_go_on
+from pemviz.runs.run_folder import FORMER, create_run_folder, is_short, may_go_on
+from pemviz.runs.run_folder import record as record_in
 from pemviz.runs.workers import check_workers, no_use, own_process
 from pemviz.sampling.registry import by_name
 
@@ -71,7 +72,11 @@ def record(arguments: RecordArguments) -> int:
     else:
         print_summary(result, folder, verbose=arguments.verbose)
     if result.status != "done":
-        print(f"pemviz: stopped; what was finished is in {_place(folder)}", file=sys.stderr)
+        on = _resuming(arguments, folder)
+        print(
+            f"pemviz: stopped; what was finished is in {_place(folder)}; go on with: {on}",
+            file=sys.stderr,
+        )
         return EXIT_FAILED
     if is_short(result):
         more = _resuming(arguments, folder, *_more(result))
@@ -127,7 +132,7 @@ def _carry_out(
         stop_on_signals() as should_stop,
         progress_observer(quiet=arguments.json) as progress,
     ):
-        return carry_out(
+        return record_in(
             experiment,
             folder,
             recorders=_recorders(arguments, folder),

@@ -24,7 +24,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.forecast import Progress, progress_now
 from pemviz.runs.result import RunResult
 from pemviz.runs.rollout_files import ROLLOUT, stage_arrays
-from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.run_folder import create_run_folder, record
 from pemviz.runs.workers import no_use, own_process
 from pemviz.simulators.slots import SlotSimulator
 from pemviz.types import Simulator, StageResult, numbers_of
@@ -253,9 +253,7 @@ class Controller:
             raise InputError(message) from error
         recorders = [] if self._observers is None else self._observers(folder)
         watcher = Watcher(folder=folder, **watched)
-        carry_out(
-            experiment, folder, recorders=recorders, observers=[watcher], should_stop=stop, **by
-        )
+        record(experiment, folder, recorders=recorders, observers=[watcher], should_stop=stop, **by)
         run = watcher.run
         if run is None or run.kept == run.simulated:
             return

@@ -58,7 +58,7 @@ def burst_lines(explanation: Explanation) -> list[str]:
         frames, at = bursts.frames.median, bursts.begins_gap_m
         unit = "frame" if round(frames) == 1 else "frames"
         begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
-        likely = bursts.start if bursts.again is None else bursts.whole
+        likely = bursts.start if bursts.again is None else bursts.start * bursts.whole
         chance = f", which has the probability {_probability(likely)} by itself"
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "

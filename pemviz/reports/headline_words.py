@@ -46,7 +46,8 @@ def headline_blocks(result: RunResult, *, running: bool = False) -> Iterator[Blo
     range_line = ", ".join(range_words(first.open, result))
     yield Paragraph(range_line, tone="large")
     memory = result.memory
-    if memory is not None and memory.is_independent and memory.unmeasured not in range_line:
+    asked = memory is not None and memory.is_independent and not memory.curve
+    if memory is not None and asked and memory.unmeasured not in range_line:
         yield Paragraph(f"with a memory of misses: {NOT_KNOWN}, {memory.unmeasured}", tone="quiet")
     for line in _measured_lines(first, result.memory):
         yield Paragraph(line, tone="quiet")

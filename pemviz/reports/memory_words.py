@@ -165,7 +165,7 @@ def assumption_line(memory: RunMemory | None) -> str | None:
         given = "the state" if memory.frailty == 0.0 else "the state and the obstacle"
         assumed = f"That misses are independent given {given} is an assumption"
         if memory.fitted is None:
-            assumed += ": this error model was fitted to single frames, which cannot tell"
+            assumed += ": this error model says nothing of it, and single frames cannot tell"
         others.insert(0, f"{here.probability:.1g} without memory")
     else:
         assumed = f"A memory time of {memory.tau_s:.3g} s is an assumption"

@@ -19,7 +19,7 @@ from pemviz.reports.case_runs import CaseRun
 from pemviz.reports.charts import gap_chart, miss_chart, runs_chart
 from pemviz.reports.document import Block, Document, Paragraph, Section, Table, facts, figure
 from pemviz.reports.escape import printable_lines
-from pemviz.reports.estimate_words import interval_text, probability_text, range_text
+from pemviz.reports.estimate_words import NAMELESS, interval_text, probability_text, range_text
 from pemviz.reports.run_document import run_document, scenario_text
 from pemviz.reports.safety_claims import GRANTED, Claim, Verdict, claim_sentence, claimed, claims
 from pemviz.runs.reading import setting_differences
@@ -236,20 +236,23 @@ def _argument(result: RunResult) -> tuple[str, ...]:
     config, data = result.config, result.pem.data
     rules = "; ".join(f"{rule.name} {rule.formula!r}" for rule in config.rules)
     what = f"one of the rules {rules}" if rules else repr(config.spec)
+    origin = "stated" if data.startswith(NAMELESS) else f"learned from {data}"
     perception = (
         f"Perception is the error model {result.pem.name}: how likely the detector misses, given "
-        f"what it looks at, learned from {data}. How far that may be wrong: E2, E5."
+        f"what it looks at, {origin}. How far that may be wrong: E2, E5."
     )
     if result.is_of_detector_itself:
         perception = (
             "Perception is the detector itself, which looks at rendered images; that it would say "
             "the same on the road is an assumption."
         )
+    random_in_it = "Everything but perception is deterministic in it (assumptions below)."
+    if result.latents is not None:
+        random_in_it = f"Random in it beside perception: {result.latents} (assumptions below)."
     return (
         f"What may go wrong is stated exactly: a run violates {what}, decided by the "
         "Boolean semantics of Signal Temporal Logic, strict comparisons as they are written.",
-        f"The system is the scenario: {scenario_text(config)}. Everything but perception is "
-        "deterministic in it (assumptions below).",
+        f"The system is the scenario: {scenario_text(config)}. {random_in_it}",
         perception,
         _sampling_step(result),
         "So the failure probability follows, if the error model is right (E1); how far it is open "

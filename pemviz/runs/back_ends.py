@@ -205,11 +205,12 @@ def own_back_end(
     unrolled = own if isinstance(own, UnrolledSimulator) else None
     features = SignalFeatures(own.signals) if unrolled is None else SlotFeatures(unrolled)
     tracker = tracker_of(simulator)
+    at_once = OWN_BATCH_ROLLOUTS if episodic(given) is None else SLOW_BATCH_ROLLOUTS
     return BackEnd(
         simulator=own,
         features=features if tracker is None else TrackFeatures(features, tracker, unrolled),
         twin=None if twin is None else _checked_twin(twin, given),
-        batch_rollouts=min(OWN_BATCH_ROLLOUTS, largest_part(states=own.states)),
+        batch_rollouts=min(at_once, largest_part(states=own.states)),
         is_own=True,
     )
 

@@ -106,6 +106,7 @@ def run(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: bool = False,
+    before_s: float = 0.0,
 ) -> RunResult:
     """Run an experiment that is already built.
 
@@ -118,6 +119,7 @@ def run(
             program must then begin its work under ``if __name__ == "__main__":``.
         scheduler: The workers of the Dask cluster do whose scheduler has this address.
         progress: Show on standard error how far the run is: a bar on a terminal, lines elsewhere.
+        before_s: What a run took that is gone on with, until it was interrupted [s].
 
     Raises:
         ConfigError: Workers are of no use, or the cluster cannot be used; nothing was simulated.
@@ -134,7 +136,8 @@ def run(
         _shown(progress) as shown,
         with_workers(experiment, workers=workers, scheduler=scheduler, pause=pause) as worked,
     ):
-        return _run(_Runner(worked, run_id, [*shown, *observers], pause))
+        runner = _Runner(worked, run_id, [*shown, *observers], pause, before_s=before_s)
+        return _run(runner)
 
 
 @contextlib.contextmanager
@@ -177,12 +180,14 @@ class _Runner:
         run_id: str,
         observers: Sequence[events.Observer],
         pause: Callable[..., None],
+        *,
+        before_s: float,
     ) -> None:
         problem = replace(experiment.problem, progress=pause, pause=pause)
         self._experiment = replace(experiment, problem=problem)
         self._observers = observers
         self._pause = pause
-        self._began = time.perf_counter()
+        self._began = time.perf_counter() - before_s
         self._interpreted = Interpreted(_empty_result(experiment, run_id))
         self._by_rule: list[Mapping[str, Estimate]] = []
         self._repeats = Repeats()

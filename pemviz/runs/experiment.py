@@ -327,6 +327,13 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
     outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
     outcomes[1] = True
     signals = replay(simulator=simulator, detected=outcomes)
+    for name, values in signals.items():
+        if not np.isfinite(values).all():
+            row, step = np.argwhere(~np.isfinite(values))[0].tolist()
+            raise ConfigError(
+                f"simulator {simulator.name!r}: {name} is {values[row, step]} at step {step}: must "
+                "be a finite number"
+            )
     salient = simulator.salient({name: values[:, :-1] for name, values in signals.items()})
     where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
     try:

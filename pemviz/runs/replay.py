@@ -115,7 +115,7 @@ class Replayed:
         end = f"ran to the end: robustness {self.robustness:.6g}, {verdict}; {same}"
         if not self.had_failed:
             return [end]
-        why = "what fails depends on more than its outcomes: a count, a clock, other rollouts?"
+        why = "has its cause been removed, or does it depend on a count, a clock, other rollouts?"
         return [end, f"but the run ended at it: {why}"]
 
 

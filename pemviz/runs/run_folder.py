@@ -22,6 +22,7 @@ from pemviz.runs import events, rollout_files
 from pemviz.runs.engine import run, versions
 from pemviz.runs.events import Event, Observer
 from pemviz.runs.experiment import Experiment
+from pemviz.runs.own_code import own_system
 from pemviz.runs.ranking import kept_rows
 from pemviz.runs.reading import CONFIG, result_left, run_differs
 from pemviz.runs.result import RunResult
@@ -38,6 +39,7 @@ KEPT_PARTS, FORMER = ".stages", "former.json"
 """Where the stages of a run lie that is done, and less precise than it was to be."""
 ALWAYS_WRITTEN = 100
 """Stages after which ``result.json``, which lists each, is written whatever it takes."""
+OTHER_CODE = "the simulator's source was changed while the run was interrupted"
 PAUSES = 20
 """Later on it is written once this many times as long has passed as writing it took."""
 
@@ -239,39 +241,51 @@ class _DoneLast:
         )
 
 
-def carry_out(
+def record(
     experiment: Experiment,
-    folder: Path,
+    folder: Path | str,
     *,
     recorders: Sequence[Observer] = (),
     observers: Sequence[Observer] = (),
     should_stop: Callable[[], bool] = lambda: False,
     workers: int | None = None,
     scheduler: str | None = None,
+    progress: bool = False,
 ) -> RunResult:
-    """Run an experiment and keep it in ``folder``.
+    """Run an experiment and keep it in ``folder``, or go on with what is there.
 
     Stages that an earlier process finished there are read back, not computed again; the end
     is the same, to the last bit but for timings.
 
     Args:
-        experiment: What to run; for a folder with stages in it, the experiment of its
-            ``config.toml``.
-        folder: The run folder; it exists already, and its name is the run's.
+        experiment: What to run; for a folder with stages in it, the same again, which may have
+            other limits.
+        folder: The run folder, made where it is not there; its name is the run's.
         recorders: Write further files of the run; notified after the folder has each event, but
             for the end: a folder says that a run is done once they are whole.
         observers: Notified of everything that happens, after the folder has it.
         should_stop: Called several times a second; ends the run at its next step.
-        workers: Who simulates; see :func:`pemviz.runs.engine.run`.
+        workers: Who simulates; see :func:`pemviz.run`.
         scheduler: Likewise.
+        progress: Likewise.
 
     Raises:
-        InputError: Another process is at work in the folder, or the folder was begun with
-            another error model.
-        RunError: The run failed.
+        ConfigError: Workers are of no use, or the cluster cannot be used; nothing was simulated.
+        InputError: The folder cannot be made, another process is at work in it, or it was begun
+            with other settings or another error model.
+        RunError: The run failed; what was finished is in the folder.
     """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"run {folder}: cannot be made ({error.strerror or error})") from error
     with run_lock(folder):
-        check_resumable(experiment, folder)
+        left = check_resumable(experiment, folder)
+        before_s = 0.0 if left is None else left.timings_s.get("total", 0.0)
+        if left is not None:
+            others = _of_other_code(experiment, left)
+            experiment = replace(experiment, warnings=(*experiment.warnings, *others))
         goes_on = _let_go_on(folder, experiment.config)
         archive = Archive(folder, experiment.declared.signals)
         store = RunStore(folder, archive=archive, others=(RECORDING,), keeps_stages=goes_on)
@@ -282,7 +296,19 @@ def carry_out(
             should_stop=should_stop,
             workers=workers,
             scheduler=scheduler,
+            progress=progress,
+            before_s=before_s,
         )
+
+
+def _of_other_code(experiment: Experiment, left: RunResult) -> Sequence[str]:
+    """That stages which are read back were simulated by another source of the user's simulator."""
+    told = [warning for warning in left.warnings if warning.startswith(OTHER_CODE)]
+    before, now = left.simulator, own_system(experiment)
+    if before is None or now is None or before.source_digest == now.source_digest:
+        return told
+    stages = "1 stage is" if len(left.stages) == 1 else f"{len(left.stages)} stages are"
+    return [*told, f"{OTHER_CODE}: {stages} from before"] if left.stages else told
 
 
 def going_on(experiment: Experiment, archive: Archive) -> Experiment:
@@ -373,8 +399,11 @@ def run_lock(folder: Path) -> Generator[None, None, None]:
         yield
 
 
-def check_resumable(experiment: Experiment, folder: Path) -> None:
+def check_resumable(experiment: Experiment, folder: Path) -> RunResult | None:
     """Refuse to go on with other settings or another error model; warn of other versions.
+
+    Returns:
+        What the folder's run has come to; ``None``: nothing, or it cannot be read.
 
     Raises:
         InputError: The folder's run was begun with these.
@@ -387,7 +416,7 @@ def check_resumable(experiment: Experiment, folder: Path) -> None:
                 "with the error model as it is now",
                 folder,
             )
-        return
+        return None
     config, errors = experiment.config, experiment.back_end.position_errors
     if result.status != "done" and result.config.lost == "end":  # none can be among the rollouts
         config = replace(config, lost="end")
@@ -403,3 +432,4 @@ def check_resumable(experiment: Experiment, folder: Path) -> None:
         raise InputError(f"run {folder}: was begun with {difference}; start a new run")
     if result.versions != versions():
         LOG.warning("run %s: was begun with other versions; last digits may differ", folder)
+    return result

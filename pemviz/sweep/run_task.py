@@ -27,7 +27,7 @@ from pemviz.pem.model_files import (
 from pemviz.processes import ONE_THREAD
 from pemviz.runs.events import Observer
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.run_folder import carry_out as carry_out_kept
+from pemviz.runs.run_folder import record
 from pemviz.sweep.plan import PlannedRun
 
 Keep = Literal["results", "all"]
@@ -163,7 +163,7 @@ def _carry_out(task: RunTask, temporary: Path) -> RunOutcome:
         recorders.append(Recorder(folder / "run.rrd"))
     message = None
     try:
-        carry_out_kept(experiment, folder, recorders=recorders)
+        record(experiment, folder, recorders=recorders)
     except RunError as error:
         message = one_line(error)
     files = tuple(

@@ -4,7 +4,7 @@ import pytest
 
 import pemviz
 from pemviz.config import ScenarioConfig
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from tests.sampling.test_slots import BY_SLOT, GhostBrake
 
 RULES = {"moves": "always[0,15] (speed >= 0.5)", "hits-not": "always[0,15] (gap >= 0.5)"}
@@ -24,7 +24,7 @@ def memory_run(tmp_path_factory):
         scenario=ScenarioConfig(states=6),
     )
     folder = tmp_path_factory.mktemp("memory")
-    carry_out(pemviz.build_experiment(config), folder)
+    record(pemviz.build_experiment(config), folder)
     return folder
 
 
@@ -41,5 +41,5 @@ def slots_run(tmp_path_factory):
         method="naive", final_rollouts=60, seed=4, memory_s=0.2, plan=False
     ).with_rules(RULES)
     folder = tmp_path_factory.mktemp("slots")
-    carry_out(pemviz.build_experiment(config, simulator=GhostBrake(), pem=BY_SLOT), folder)
+    record(pemviz.build_experiment(config, simulator=GhostBrake(), pem=BY_SLOT), folder)
     return folder

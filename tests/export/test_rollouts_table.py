@@ -10,7 +10,7 @@ import pemviz
 from pemviz.config import ExperimentConfig
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from tests.latent_toys import Drift
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.toy import ConstantPem
@@ -24,7 +24,7 @@ def kept(folder, system, method, **settings):
     simulator, pem = system
     spec = f"always[0,{simulator.states - 1}] (gap >= 0.5)"
     config = replace(SMALL, method=method, spec=spec, **settings)
-    return carry_out(build_experiment(config, simulator=simulator, pem=pem), folder)
+    return record(build_experiment(config, simulator=simulator, pem=pem), folder)
 
 
 @pytest.mark.parametrize("keep", ["all", "violations"])
@@ -82,7 +82,7 @@ def test_latents_are_lists_and_answers_that_are_no_sum_have_no_weights(tmp_path)
     drift = Drift(states=9)
     spec = "eventually[8,8] (distance <= 1.5)"
     config = replace(SMALL, method="subset", spec=spec, repetitions=3)
-    carry_out(build_experiment(config, simulator=drift, pem=ConstantPem(0.5)), tmp_path)
+    record(build_experiment(config, simulator=drift, pem=ConstantPem(0.5)), tmp_path)
     table = pemviz.read_rollouts(tmp_path)
     assert "log_weight" not in table.column_names
     noise = np.array(table["latents.noise"].to_pylist())

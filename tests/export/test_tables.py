@@ -15,7 +15,7 @@ from pemviz.export.formats import METADATA, csv_bytes, parquet_bytes
 from pemviz.runs.kept_rollout import read_kept_rollout
 from pemviz.runs.ranking import ranked_rows
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from tests.export.conftest import RULES
 from tests.latent_toys import Drift
 from tests.runs import test_rules
@@ -38,7 +38,7 @@ def read_csv(content):
 )
 def test_ranks_are_those_of_the_result(changes, tmp_path):
     config = replace(test_rules.CONFIG, plan=False, **changes)
-    result = carry_out(test_rules.experiment_of(config), tmp_path)
+    result = record(test_rules.experiment_of(config), tmp_path)
     table = load_rollouts(tmp_path)
     order = ranked_rows(table, result.stages)
     assert sorted(order) == list(range(len(table["violated"])))
@@ -85,7 +85,7 @@ def test_latents_stand_in_columns_of_their_own(tmp_path):
         method="naive", final_rollouts=30, spec=drift.spec(1.0), plan=False
     )
     pem = constant_pem(detection_probability=0.5)
-    result = carry_out(pemviz.build_experiment(config, simulator=drift, pem=pem), tmp_path)
+    result = record(pemviz.build_experiment(config, simulator=drift, pem=pem), tmp_path)
     first, kept = result.least_robust[0], load_rollouts(tmp_path)
     rows = read_csv(csv_bytes(read_kept_rollout(tmp_path, rank=1)))
     start, noise = (kept[f"latents.{name}"][first.rollout] for name in ("start", "noise"))

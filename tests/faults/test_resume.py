@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pemviz.cli import record
+from pemviz.cli import record as record_command
 from pemviz.config import ExperimentConfig, ScenarioConfig
 from pemviz.config.rule_words import GateLimits
 from pemviz.config.toml_files import config_text, load_preset
@@ -18,7 +18,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_whole_run
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out, run_lock
+from pemviz.runs.run_folder import record, run_lock
 from pemviz.sampling.rollouts.runners import run_here
 from tests.comparable_results import comparable_result
 
@@ -55,14 +55,14 @@ def small():
 def expected(small, tmp_path_factory):
     """What the small run, which nobody disturbed, left."""
     folder = folder_of(tmp_path_factory.mktemp("small"), "whole")
-    carry_out(small, folder)
+    record(small, folder)
     return contents(folder)
 
 
 def stopped(experiment, folder, *, after):
     """Carry out so many stages."""
     stop = StopAfter(after)
-    result = carry_out(experiment, folder, observers=[stop], should_stop=stop)
+    result = record(experiment, folder, observers=[stop], should_stop=stop)
     assert result.status == "stopped"
     return folder
 
@@ -83,11 +83,11 @@ class StopAfter:
 def stopped_and_whole(experiment, root, *stops):
     """The result of a whole run, its folder, and that of one stopped after so many stages each."""
     whole, parts = folder_of(root, "whole"), folder_of(root, "parts")
-    result = carry_out(experiment, whole)
+    result = record(experiment, whole)
     for stages in stops:
         stop = StopAfter(stages)
-        assert carry_out(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
-    assert carry_out(experiment, parts).status == "done"
+        assert record(experiment, parts, observers=[stop], should_stop=stop).status == "stopped"
+    assert record(experiment, parts).status == "done"
     assert contents(parts) == contents(whole)
     return result, whole, parts
 
@@ -100,13 +100,13 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(method, tmp_path):
         config = replace(config, rollouts=8, repetitions=1)
     experiment = build_experiment(config)
     whole = folder_of(tmp_path, "whole")
-    carry_out(experiment, whole)
+    record(experiment, whole)
     parts = folder_of(tmp_path, "parts")
     stages = [s["stage"] for s in contents(whole)["result"]["stages"]]
     for after in range(1, len(stages), 2):
         stopped(experiment, parts, after=after)
         assert len(load_rollouts(parts)["stage"]) > 0
-    carry_out(experiment, parts)
+    record(experiment, parts)
     assert contents(parts) == contents(whole)
     assert not (parts / "stages").exists()
 
@@ -122,9 +122,9 @@ def test_a_stopped_run_of_a_logical_scenario_goes_on_to_the_same_bytes(tmp_path)
     )  # fmt: skip
     experiment = build_experiment(config)
     whole, parts = folder_of(tmp_path, "whole"), folder_of(tmp_path, "parts")
-    carry_out(experiment, whole)
+    record(experiment, whole)
     assert contents(whole)["result"]["estimate"]["failures"] > 0
-    carry_out(experiment, stopped(experiment, parts, after=2))
+    record(experiment, stopped(experiment, parts, after=2))
     assert contents(parts) == contents(whole)
 
 
@@ -153,17 +153,17 @@ def test_a_run_is_done_once_its_recording_is_whole(small, expected, tmp_path):
     parts = folder_of(tmp_path, "parts")
     recorder = EndsBefore(parts)
     with pytest.raises(KeyboardInterrupt):
-        carry_out(small, parts, recorders=[recorder])
+        record(small, parts, recorders=[recorder])
     assert recorder.said == "stopped"
     assert contents(parts)["result"]["status"] == "stopped"
-    assert carry_out(small, parts).status == "done"
+    assert record(small, parts).status == "done"
     assert contents(parts) == expected
 
 
 def test_a_resumed_runs_recording_takes_the_old_ones_place(tmp_path):
     (tmp_path / "config.toml").write_text(config_text(replace(SMALL, repetitions=1)))
     (tmp_path / "run.rrd").write_bytes(b"cut off")
-    assert record.run(["--resume", str(tmp_path), "--no-frames", "--json"]) == EXIT_DONE
+    assert record_command.run(["--resume", str(tmp_path), "--no-frames", "--json"]) == EXIT_DONE
     assert (tmp_path / "run.rrd").stat().st_size > 10_000
     assert list(tmp_path.glob(".*partial")) == []
 
@@ -179,7 +179,7 @@ def test_finished_stages_are_not_simulated_again(small, tmp_path):
     experiment = replace(small, problem=replace(small.problem, run_batches=counting))
     stopped(experiment, tmp_path, after=3)
     drawn.clear()
-    carry_out(experiment, tmp_path)
+    record(experiment, tmp_path)
     several = [count for count in drawn if count > MOST_REPEATED]
     assert several[:2] == [40, 60]  # then the data's bound
 
@@ -189,7 +189,7 @@ def test_a_simulator_that_changed_since_a_run_was_stopped_is_told(small, tmp_pat
     brakes_less = replace(small.problem.simulator.config, emergency_deceleration_mps2=7.0)
     other = replace(small.problem.simulator, config=brakes_less)
     changed = replace(small, problem=replace(small.problem, simulator=other))
-    found = carry_out(changed, tmp_path).estimate.diagnostics[0]
+    found = record(changed, tmp_path).estimate.diagnostics[0]
     assert found.kind == "not-repeatable"
     assert "went otherwise (simulator vectorized: " in found.text
 
@@ -197,7 +197,7 @@ def test_a_simulator_that_changed_since_a_run_was_stopped_is_told(small, tmp_pat
 def test_a_run_that_failed_goes_on_once_the_fault_is_gone(tmp_path):
     experiment = build_experiment(replace(SMALL, repetitions=1, method="mixture"))
     whole = folder_of(tmp_path, "whole")
-    carry_out(experiment, whole)
+    record(experiment, whole)
     calls = []
 
     def failing(simulator, pem, tasks):
@@ -209,9 +209,9 @@ def test_a_run_that_failed_goes_on_once_the_fault_is_gone(tmp_path):
     parts = folder_of(tmp_path, "parts")
     broken = replace(experiment, problem=replace(experiment.problem, run_batches=failing))
     with pytest.raises(RunError, match="the cable was pulled"):
-        carry_out(broken, parts)
+        record(broken, parts)
     assert json.loads((parts / "result.json").read_text())["status"] == "failed"
-    carry_out(experiment, parts)
+    record(experiment, parts)
     assert contents(parts) == contents(whole)
 
 
@@ -232,7 +232,7 @@ def test_a_damaged_stage_is_computed_again(small, expected, damage, tmp_path, ca
             np.savez(path, **changed)
         case "gone":
             path.unlink()
-    carry_out(small, parts)
+    record(small, parts)
     assert ("it is computed again" in caplog.text) == (damage != "gone")
     assert contents(parts) == expected
 
@@ -250,7 +250,7 @@ def test_a_result_lost_in_a_power_cut_is_made_again_from_the_stages(
     assert line.startswith(f"run {parts}: result.json cannot be read; the run goes on")
     assert [path.read_bytes() for path in stages] == before
     assert json.loads((parts / "result.json").read_text())["status"] == "stopped"
-    carry_out(small, parts)
+    record(small, parts)
     assert contents(parts) == expected
     assert len(caplog.messages) == 1
 
@@ -264,23 +264,23 @@ def test_a_damaged_result_is_refused_without_stages_or_where_it_is_a_document(
         shutil.rmtree(folder / "stages")
     (folder / "result.json").write_bytes(left)
     with pytest.raises(InputError, match=r"result .*result\.json"):
-        carry_out(small, folder)
+        record(small, folder)
     assert (folder / "result.json").read_bytes() == left
 
 
 def test_two_processes_never_share_a_folder(tmp_path):
     experiment = build_experiment(SMALL)
     with run_lock(tmp_path), pytest.raises(InputError, match="another process is at work"):
-        carry_out(experiment, tmp_path)
+        record(experiment, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".lock"]
 
 
 def test_another_error_model_under_the_same_name_is_refused(tmp_path):
     experiment = build_experiment(replace(SMALL, method="naive"))
-    result = carry_out(experiment, tmp_path)
+    result = record(experiment, tmp_path)
     write_result(tmp_path, replace(result, pem=replace(result.pem, digest="0" * 64)))
     with pytest.raises(InputError, match="begun with another error model"):
-        carry_out(experiment, tmp_path)
+        record(experiment, tmp_path)
 
 
 def test_settings_that_were_changed_meanwhile_are_refused(small, tmp_path):
@@ -288,7 +288,7 @@ def test_settings_that_were_changed_meanwhile_are_refused(small, tmp_path):
     config = (folder / "config.toml").read_text()
     (folder / "config.toml").write_text(config.replace("rollouts = 40", "rollouts = 80", 1))
     with pytest.raises(InputError, match="begun with settings other than those"):
-        record.run(["--resume", str(folder), "--no-recording"])
+        record_command.run(["--resume", str(folder), "--no-recording"])
 
 
 def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
@@ -297,12 +297,12 @@ def test_the_command_resumes_and_keeps_the_old_recording_until_the_new_is_whole(
     monkeypatch.setenv("CI", "1")
     folder = stopped(small, folder_of(tmp_path, "stopped"), after=2)
     (folder / "run.rrd").write_bytes(b"the old recording")
-    assert record.run(["--resume", str(folder), "--no-frames"]) == EXIT_DONE
+    assert record_command.run(["--resume", str(folder), "--no-frames"]) == EXIT_DONE
     assert contents(folder) == expected
     assert (folder / "run.rrd").stat().st_size > 100_000
     assert not (folder / ".run.rrd.partial").exists()
     capsys.readouterr()
-    code = record.run(["--resume", str(folder), "--json", "--fail-above", "1e-30"])
+    code = record_command.run(["--resume", str(folder), "--json", "--fail-above", "1e-30"])
     assert code in (EXIT_GATE_TRIPPED, 4)
     out = capsys.readouterr()
     assert "is done already" in out.err
@@ -317,7 +317,7 @@ def test_a_run_goes_on_with_another_time_limit(small, tmp_path):
     """Which is no part of what is answered: the folder stays that of its configuration."""
     folder = stopped(small, tmp_path, after=2)
     settings = (folder / "config.toml").read_bytes()
-    assert record.run(["--resume", str(folder), "--step-time-limit-s", "77", "--json"]) == 0
+    assert record_command.run(["--resume", str(folder), "--step-time-limit-s", "77", "--json"]) == 0
     assert (folder / "config.toml").read_bytes() == settings
     assert read_whole_run(folder).status == "done"
 
@@ -330,12 +330,12 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     longer = build_experiment(replace(SHORT, max_rollouts=1_800))
     folders = [folder_of(tmp_path, name) for name in ("whole", "parts")]
     for folder in folders:
-        carry_out(build_experiment(SHORT), folder)
+        record(build_experiment(SHORT), folder)
     before = read_whole_run(folders[0])
     assert before.estimate.relative_half_width > SHORT.precision
     sampled = load_rollouts(folders[0])
 
-    first = carry_out(longer, folders[0])
+    first = record(longer, folders[0])
     read_whole_run(folders[0])  # whose estimate is that of its rollouts
     assert first.estimate.rollouts_simulated > 2 * before.estimate.rollouts_simulated
     assert first.estimate.relative_half_width < before.estimate.relative_half_width
@@ -349,10 +349,10 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     answer = (folders[1] / "result.json").read_bytes()
     for stages in (done[0] // 2, done[1] - 1):
         stop = StopAfter(stages)
-        assert carry_out(longer, folders[1], observers=[stop], should_stop=stop).status == "stopped"
+        assert record(longer, folders[1], observers=[stop], should_stop=stop).status == "stopped"
         assert (folders[1] / "former.json").read_bytes() == answer
     words = ["--resume", str(folders[1]), "--no-recording", "--max-rollouts", "1800"]
-    assert record.run(words) == EXIT_DONE
+    assert record_command.run(words) == EXIT_DONE
     assert contents(folders[1]) == contents(folders[0])
     assert not (folders[1] / "former.json").exists()
     assert (
@@ -360,26 +360,26 @@ def test_a_run_that_fell_short_goes_on_with_other_limits(tmp_path, capsys):
     )
     # by less that is asked nothing is lost, nor by a kill between the answer and its stages
     words = ["--resume", str(folders[1]), "--no-recording", "--precision"]
-    assert record.run([*words, "50%"]) == EXIT_DONE
+    assert record_command.run([*words, "50%"]) == EXIT_DONE
     (folders[1] / ".stages").rename(folders[1] / "stages")
-    assert record.run([*words, "5%"]) == EXIT_DONE
+    assert record_command.run([*words, "5%"]) == EXIT_DONE
     assert contents(folders[1]) == contents(folders[0])
-    assert carry_out(longer, folders[1]).status == "done"  # which reads its stages back
+    assert record(longer, folders[1]).status == "done"  # which reads its stages back
     assert contents(folders[1]) == contents(folders[0])
     # nothing more may be sampled: the same answer again
     fewer = replace(longer.config, max_rollouts=600, max_minutes=5.0)
-    assert carry_out(build_experiment(fewer), folders[1]).estimate == first.estimate
+    assert record(build_experiment(fewer), folders[1]).estimate == first.estimate
 
 
 def test_a_run_that_is_as_precise_as_was_asked_has_no_stages_to_go_on_from(tmp_path):
     folder = folder_of(tmp_path, "whole")
-    carry_out(build_experiment(replace(SHORT, precision=0.9, repetitions=1)), folder)
+    record(build_experiment(replace(SHORT, precision=0.9, repetitions=1)), folder)
     before = contents(folder)
     for words in (["--precision", "5%"], ["--max-minutes", "7", "--max-rollouts", "1800"]):
         with pytest.raises(InputError, match=r"as precise as it was to be, .*; start a new run$"):
-            record.run(["--resume", str(folder), *words])
+            record_command.run(["--resume", str(folder), *words])
     with pytest.raises(InputError, match="was begun with settings other"):
-        carry_out(build_experiment(replace(SHORT, repetitions=1)), folder)
+        record(build_experiment(replace(SHORT, repetitions=1)), folder)
     assert contents(folder) == before
 
 
@@ -398,7 +398,7 @@ def test_what_cannot_be_resumed_is_told_in_one_line(small, words, message, tmp_p
     folder = stopped(small, tmp_path, after=2)
     before = contents(folder)
     with pytest.raises(InputError) as caught:
-        record.run([word.format(run=folder) for word in words])
+        record_command.run([word.format(run=folder) for word in words])
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert contents(folder) == before
@@ -407,7 +407,7 @@ def test_what_cannot_be_resumed_is_told_in_one_line(small, words, message, tmp_p
 def test_a_folder_killed_before_its_first_stage_starts_anew(tmp_path):
     config = replace(SMALL, method="naive")
     (tmp_path / "config.toml").write_text(config_text(config))
-    assert record.run(["--resume", str(tmp_path), "--no-recording"]) == EXIT_DONE
+    assert record_command.run(["--resume", str(tmp_path), "--no-recording"]) == EXIT_DONE
 
 
 def test_a_run_that_is_done_already_is_still_reported(tmp_path):
@@ -416,11 +416,11 @@ def test_a_run_that_is_done_already_is_still_reported(tmp_path):
     config = replace(SMALL, method="monte-carlo", repetitions=1)
     first = [tmp_path / name for name in ("first.md", "first.xml")]
     reports = ReportWriter(summary=first[0], junit=first[1], limits=GateLimits(0.5))
-    carry_out(build_experiment(config), folder, observers=[reports])
+    record(build_experiment(config), folder, observers=[reports])
     before = contents(folder)
     again = [tmp_path / name for name in ("again.md", "again.xml")]
     words = ["--summary", str(again[0]), "--junit", str(again[1]), "--fail-above", "0.5"]
-    assert record.run(["--resume", str(folder), *words]) == EXIT_DONE
+    assert record_command.run(["--resume", str(folder), *words]) == EXIT_DONE
     for one, other in zip(first, again, strict=True):
         assert other.read_text() == one.read_text()
     assert contents(folder) == before
@@ -428,8 +428,8 @@ def test_a_run_that_is_done_already_is_still_reported(tmp_path):
 
 def test_a_run_that_is_done_but_was_done_with_other_settings_is_refused(tmp_path):
     folder = folder_of(tmp_path, "whole")
-    carry_out(build_experiment(replace(SMALL, method="naive", repetitions=1)), folder)
+    record(build_experiment(replace(SMALL, method="naive", repetitions=1)), folder)
     text = (folder / "config.toml").read_text()
     (folder / "config.toml").write_text(text.replace("seed = 11", "seed = 12", 1))
     with pytest.raises(InputError, match=r"other than those of its config\.toml \(seed = 11, not"):
-        record.run(["--resume", str(folder)])
+        record_command.run(["--resume", str(folder)])

@@ -23,7 +23,7 @@ from pemviz.panel.rollout_tables import thinned
 from pemviz.panel.weights_page import drawn_points, least_gaps
 from pemviz.panel.why_page import failures_of, standing_for_all, why
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.run_folder import create_run_folder, record
 from tests.comparable_results import without_digests
 from tests.panel.conftest import NAIVE, wait_until
 
@@ -42,7 +42,7 @@ def latent_folder(tmp_path_factory):
     rules = {"gap": "always[0,99] (gap >= 2.0)", "far": "always[0,99] (gap >= 3.0)"}
     config = replace(NAIVE, position_errors="pointpillars").with_rules(rules)
     folder = create_run_folder(tmp_path_factory.mktemp("latents"), label="naive")
-    carry_out(build_experiment(config), folder)
+    record(build_experiment(config), folder)
     return folder
 
 

@@ -102,7 +102,7 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
     bursts, help_ = burst_lines(EXPLANATION)
     assert bursts == (
         "Bursts (misses in a row) in a violation: 1.1; the decisive one: 15 frames (0.75 s) from "
-        "9.0 m on, which has the probability 4.7e-10 by itself"
+        "9.0 m on, which has the probability 1.2e-12 by itself"
     )
     assert help_ == (
         "A memory 1 % shorter would bring 1.9 +- 0.03 % fewer violations; 1 % fewer misses, the "

@@ -22,7 +22,7 @@ from pemviz.panel.recordings_folder import RecordingsFolder
 from pemviz.runs.experiment import Experiment, build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.rollout_files import part_path
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.runs.test_reading import RULES, SMALL
 from tests.runs.test_result_file import changed, paths
@@ -38,7 +38,7 @@ def made(tmp_path_factory):
         folder = tmp_path_factory.mktemp("recordings") / "run"
         folder.mkdir()
         (folder / "run.rrd").write_bytes(b"RRF2" + bytes(range(256)) * 20)
-        carry_out(build_experiment(replace(CONFIG, seed=seed)), folder)
+        record(build_experiment(replace(CONFIG, seed=seed)), folder)
         folders.append(folder)
     return folders
 
@@ -259,8 +259,8 @@ def unfinished(tmp_path_factory):
     )
     for experiment, folder in ((one, stopped), (another, other)):
         stop = StopAfter(3)
-        carry_out(experiment, folder, observers=[stop], should_stop=stop)
-    carry_out(one, whole)
+        record(experiment, folder, observers=[stop], should_stop=stop)
+    record(one, whole)
     return Unfinished(one, stopped, other, whole)
 
 
@@ -272,7 +272,7 @@ def test_an_edited_stage_of_an_unfinished_run_is_computed_again(unfinished, tmp_
     np.savez(path, **{**table, "violated": ~table["violated"]})
     with pytest.raises(InputError, match="was changed since it was written"):
         load_run(edited)
-    carry_out(unfinished.experiment, edited)
+    record(unfinished.experiment, edited)
     assert "was changed since it was written" in caplog.text
     assert "it is computed again" in caplog.text
     assert contents(edited) == contents(unfinished.whole)
@@ -295,6 +295,6 @@ def test_a_stage_that_is_not_this_runs_is_computed_again(what, unfinished, tmp_p
     else:
         (edited / "result.json").unlink()
         shutil.copy(unfinished.stopped / "config.toml", edited)
-    carry_out(unfinished.experiment, edited)
+    record(unfinished.experiment, edited)
     read_result(edited)
     assert contents(edited) == contents(unfinished.whole)

@@ -13,7 +13,7 @@ from pemviz.panel.controller import Controller
 from pemviz.runs.engine import run
 from pemviz.runs.events import RunDone, RunFailed, StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.simulators.braking.vectorized import VectorizedSimulator
 from tests.faults.test_resume import contents, folder_of
 from tests.panel.test_controller import wait_until
@@ -108,7 +108,7 @@ def test_whatever_a_simulator_raises_fails_the_run(fault, limit_s):
 def whole(tmp_path_factory):
     """What a run leaves in which nothing fails."""
     folder = folder_of(tmp_path_factory.mktemp("undisturbed"), "whole")
-    carry_out(build_experiment(SMALL, simulator=Car(SMALL.scenario)), folder)
+    record(build_experiment(SMALL, simulator=Car(SMALL.scenario)), folder)
     return contents(folder)
 
 
@@ -116,9 +116,9 @@ def whole(tmp_path_factory):
 def test_once_the_fault_is_gone_the_run_goes_on_to_the_same_bytes(fault, whole, tmp_path):
     parts = folder_of(tmp_path, "parts")
     with pytest.raises(RunError, match=type(fault).__name__):
-        carry_out(build_experiment(SMALL, simulator=faulty(fault, after=4)), parts)
+        record(build_experiment(SMALL, simulator=faulty(fault, after=4)), parts)
     assert json.loads((parts / "result.json").read_text())["status"] == "failed"
-    carry_out(build_experiment(SMALL, simulator=Car(SMALL.scenario)), parts)
+    record(build_experiment(SMALL, simulator=Car(SMALL.scenario)), parts)
     assert contents(parts) == whole
 
 

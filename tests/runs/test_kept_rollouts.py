@@ -16,7 +16,7 @@ from pemviz.runs.observers import LeastRobust
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import write_result
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from tests.faults.test_resume import StopAfter, contents, folder_of
 
 ALL = ExperimentConfig(
@@ -36,11 +36,11 @@ def folders(tmp_path_factory):
     """Of both; where few are kept, of a run that was stopped once its final stage was in a file."""
     root = tmp_path_factory.mktemp("kept")
     found = {name: folder_of(root, name) for name in CONFIGS}
-    carry_out(build_experiment(CONFIGS["all"]), found["all"])
+    record(build_experiment(CONFIGS["all"]), found["all"])
     experiment, stop = build_experiment(CONFIGS["violations"]), StopAfter(3)
-    stopped = carry_out(experiment, found["violations"], observers=[stop], should_stop=stop)
+    stopped = record(experiment, found["violations"], observers=[stop], should_stop=stop)
     assert (stopped.status, len(stopped.stages)) == ("stopped", 3)
-    carry_out(experiment, found["violations"])
+    record(experiment, found["violations"])
     return found
 
 

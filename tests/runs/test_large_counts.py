@@ -9,7 +9,7 @@ from pemviz.errors import ConfigError
 from pemviz.runs import run_folder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 
 LARGE = ExperimentConfig(method="monte-carlo", final_rollouts=100_000_000, keep="violations")
 
@@ -50,7 +50,7 @@ def test_a_result_of_many_stages_is_whole_at_the_end_however_rarely_it_is_writte
     few = replace(LARGE, final_rollouts=40, spec="always[0,99] (gap >= 9.0)", memory_s=0.4)
     experiment = build_experiment(few)
     parts = replace(experiment, method=replace(experiment.method, largest_part=5))
-    carry_out(parts, tmp_path)
+    record(parts, tmp_path)
     by_stage = [len(result.stages) for result in written]
     assert by_stage[:3] == [0, 1, 2]
     assert 3 not in by_stage

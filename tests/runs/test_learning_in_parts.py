@@ -11,7 +11,7 @@ from pemviz.recording.recorder import Recorder
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.observers import KeptStages, LeastRobust
 from pemviz.runs.rollout_files import load_rollouts, part_path, sampled_arrays, sampled_of
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.types import SampledRollouts
 from tests.faults.test_resume import StopAfter, contents, folder_of
 from tests.recording.read_back import read_stages
@@ -38,12 +38,12 @@ def in_parts(root, experiment, *, largest_part, sizes, stops):
             one = experiment(keep)
             for stop_after in stops if name == "resumed" else ():
                 stop = StopAfter(stop_after)
-                carry_out(one, folder, observers=[stop], should_stop=stop)
+                record(one, folder, observers=[stop], should_stop=stop)
                 if stop_after == stops[0]:
                     middle = part_path(folder, repetition=0, stage=1).read_bytes()
             recorder = Recorder(folder / "run.rrd", frames=False)
             recorders = [] if name == "resumed" else [recorder]
-            carry_out(one, folder, recorders=recorders, observers=[stages, least])
+            record(one, folder, recorders=recorders, observers=[stages, least])
             found[name] = folder, stages.stages, least.rollout, one.method
     assert b"all.robustness" in middle
     return found

@@ -12,7 +12,7 @@ from pemviz.config.toml_files import config_text
 from pemviz.reports.gate import decide_run
 from pemviz.runs.events import StageDone
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import Archive, carry_out, going_on
+from pemviz.runs.run_folder import Archive, going_on, record
 from pemviz.runs.uncertainty import uncertainty_budget
 from pemviz.sampling.problem import score
 from pemviz.sampling.rollouts.losing import lost_at, lost_rows, marked
@@ -74,7 +74,7 @@ def carried_out(tmp_path, name, how, **options):
     folder.mkdir(parents=True)
     given = {"final_rollouts": 24, "lost": "violation", "seed": 3, **options}
     workers = given.pop("workers", None)
-    carry_out(experiment(how, **given), folder, workers=workers)
+    record(experiment(how, **given), folder, workers=workers)
     return folder
 
 
@@ -123,8 +123,8 @@ def test_a_run_that_is_gone_on_with_tells_of_the_same_losses(tmp_path, keep):
     folder.mkdir(parents=True)
     stop = StopAfterStage()
     asked = experiment("raises", seed=3, **options)
-    carry_out(asked, folder, observers=[stop], should_stop=stop)
-    carry_out(asked, folder)
+    record(asked, folder, observers=[stop], should_stop=stop)
+    record(asked, folder)
     assert kept(folder) == kept(whole)
     assert pemviz.read_result(folder).lost == pemviz.read_result(whole).lost
 
@@ -148,16 +148,16 @@ def test_a_run_that_a_rollout_ended_goes_on_as_if_such_had_counted_from_the_star
     ended = tmp_path / "ended" / "run"
     assert pemviz.read_result(ended).stages
     with pytest.raises(pemviz.InputError, match="seed = 3, not 4"):
-        carry_out(experiment("raises", lost="none", **{**options, "seed": 4}), ended)
+        record(experiment("raises", lost="none", **{**options, "seed": 4}), ended)
     asked = experiment("raises", lost="none", **options)
     left = going_on(asked, Archive(ended, asked.declared.signals)).problem.finished(0, 0)
     assert (left is None) == ("keep" in options)  # what is kept in part is simulated again
     assert left is None or not left.scored.rollouts.memory[LOST].any()
-    carry_out(asked, ended)
+    record(asked, ended)
     assert not caplog.messages
     assert kept(ended) == kept(whole)
     with pytest.raises(pemviz.InputError, match="lost = 'none', not 'violation'"):
-        carry_out(experiment("raises", lost="violation", **options), ended)
+        record(experiment("raises", lost="violation", **options), ended)
 
 
 def test_only_a_run_that_had_to_end_is_resumed_with_another_lost(tmp_path):
@@ -189,7 +189,7 @@ def test_the_answer_says_what_it_would_be_otherwise_and_what_may_be_decided():
     text = pemviz.summary_text(counted)
     low, high = counted.lost.ends(counted.estimate.probability)
     assert high == counted.estimate.probability
-    assert f"count as violations; without them the answer would be {low:.2g}" in text
+    assert f"count as violations; if they did not, these rollouts would say {low:.2g}" in text
     (row,) = [one for one in uncertainty_budget(counted) if one.kind == "lost"]
     assert (row.low, row.high) == (low, high)
     assert decide_run(counted, limit=0.9).outcome == "passed"

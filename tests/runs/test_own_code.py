@@ -10,7 +10,7 @@ import pemviz
 from pemviz.config.toml_files import config_table, config_text
 from pemviz.runs.own_code import innermost
 from pemviz.runs.reading import read_whole_run
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.simulators.latents import parts_of
 from tests.lattice_walk import ToyPem, ToySimulator
 from tests.simulators.test_episodic import Crossing, WalkEpisodes
@@ -20,7 +20,7 @@ CONFIG = pemviz.ExperimentConfig(method="monte-carlo", spec="always[0,5] (gap >=
 
 def test_name_steps_class_and_digest_of_its_file(tmp_path):
     experiment = pemviz.build_experiment(CONFIG, simulator=ToySimulator(), pem=ToyPem())
-    carry_out(experiment, tmp_path)
+    record(experiment, tmp_path)
     found = read_whole_run(tmp_path).simulator
     assert (found.name, found.states, found.dt_s) == ("toy", 15, 1.0)
     assert found.code == "tests.lattice_walk.ToySimulator"

@@ -17,7 +17,7 @@ from pemviz.runs.coherence import recount
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result, read_whole_run, run_differs, setting_differences
 from pemviz.runs.result_file import read_kept, write_result
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.registry import SHIPPED
 from tests.comparable_results import without_digests
 from tests.faults.test_resume import StopAfter, folder_of
@@ -68,7 +68,7 @@ def folder(tmp_path_factory):
     @cache
     def made(kind, method):
         found = folder_of(tmp_path_factory.mktemp("kept"), "a")
-        carry_out(build_experiment(replace(KINDS[kind], method=method)), found)
+        record(build_experiment(replace(KINDS[kind], method=method)), found)
         return found
 
     return made
@@ -114,7 +114,7 @@ def test_the_shipped_sample_is_believed():
 def test_an_unfinished_run_is_read(tmp_path):
     stop = StopAfter(3)
     experiment = build_experiment(replace(SMALL, method="mixture"))
-    carry_out(experiment, tmp_path, observers=[stop], should_stop=stop)
+    record(experiment, tmp_path, observers=[stop], should_stop=stop)
     assert read_whole_run(tmp_path).status == "stopped"
     assert list(read_kept(tmp_path).files) == ["config.toml"]
 

@@ -22,7 +22,7 @@ from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
 from pemviz.runs.result_file import result_document, result_from_document
 from pemviz.runs.rollout_files import load_rollouts, stage_files
-from pemviz.runs.run_folder import carry_out, create_run_folder
+from pemviz.runs.run_folder import create_run_folder, record
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.types import outcome_log_likelihood
 from tests.lattice_walk import ToyPem, ToySimulator
@@ -114,7 +114,7 @@ def test_what_a_run_keeps_of_rules_comes_back(tmp_path):
     """Configuration, result, rollouts; a resumed run ends with the same answers."""
     config = replace(CONFIG, method="naive", final_rollouts=400)
     folder = create_run_folder(tmp_path, label="rules")
-    result = carry_out(experiment_of(config), folder)
+    result = record(experiment_of(config), folder)
     assert load_config(folder / "config.toml").rules == tuple(Rule(*r) for r in RULES.items())
     assert read_result(folder).rules == result.rules
     rollouts = load_rollouts(folder)
@@ -137,12 +137,12 @@ def test_what_a_run_keeps_of_rules_comes_back(tmp_path):
         ]
 
     stopped = create_run_folder(tmp_path, label="stopped")
-    carry_out(
+    record(
         experiment_of(replace(config, repetitions=2)),
         stopped,
         should_stop=lambda: len(stage_files(stopped)) > 0,
     )
-    again = carry_out(experiment_of(replace(config, repetitions=2)), stopped)
+    again = record(experiment_of(replace(config, repetitions=2)), stopped)
     whole = run(experiment_of(replace(config, repetitions=2)))
     assert again.rules == whole.rules
     assert again.least_robust_by_rule == whole.least_robust_by_rule

@@ -15,7 +15,7 @@ from pemviz.proposals.fixed import PemProposal
 from pemviz.proposals.offset_logistic import SignalFeatures
 from pemviz.runs.engine import run, run_experiment
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.back_end import BackEnd
 from pemviz.sampling.direct.method import DirectSampling
 from pemviz.sampling.mixture.method import MixtureSampling
@@ -218,7 +218,7 @@ def test_a_stopped_run_with_memory_goes_on_to_the_same_bytes(method, tmp_path):
     *_, parts = stopped_and_whole(experiment, tmp_path, 1, 2)
     other = build_experiment(replace(SHORT, method=method, memory_s=0.1))
     with pytest.raises(InputError, match=r"memory_s = 0\.2, not 0\.1"):
-        carry_out(other, parts)
+        record(other, parts)
 
 
 def test_both_back_ends_give_the_same_rollouts_with_memory():

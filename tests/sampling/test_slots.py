@@ -10,7 +10,7 @@ import pemviz
 from pemviz.errors import ConfigError
 from pemviz.proposals.fixed import ConstantProposal
 from pemviz.runs.rollout_files import load_rollouts
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.problem import sample
 from pemviz.sampling.slots import slot_pem
 from pemviz.sampling.zero_variance.method import with_absorbing_violation
@@ -155,7 +155,7 @@ def test_one_slot_is_what_a_simulator_without_is(method, memory_s, tmp_path):
             config, simulator=simulator, pem=ToyPem(), twin=simulator
         )
         (tmp_path / name).mkdir()
-        result = carry_out(experiment, tmp_path / name)
+        result = record(experiment, tmp_path / name)
         explanation = replace(result.explanation, slots=()) if result.explanation else None
         found.append((result.estimate, explanation, load_rollouts(tmp_path / name)))
     (one, why, rollouts), (other, why_other, rollouts_other) = found

@@ -12,7 +12,7 @@ from pemviz.reports.terminal import summary_text
 from pemviz.runs.engine import run
 from pemviz.runs.experiment import build_experiment
 from pemviz.runs.reading import read_result
-from pemviz.runs.run_folder import carry_out
+from pemviz.runs.run_folder import record
 from pemviz.sampling.estimates.trust import interval_caveats
 from pemviz.sampling.mixture.rejuvenated import SHARE
 from tests.latent_toys import Drift
@@ -139,7 +139,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bytes(tmp_path, stops):
     whole, part = tmp_path / "whole" / "run", tmp_path / "part" / "run"
     whole.mkdir(parents=True)
     part.mkdir(parents=True)
-    carry_out(built, whole)
+    record(built, whole)
     stage_ends = 0
 
     class Counting:
@@ -147,9 +147,9 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bytes(tmp_path, stops):
             nonlocal stage_ends
             stage_ends += type(event).__name__ == "StageDone"
 
-    carry_out(built, part, observers=[Counting()], should_stop=lambda: stage_ends >= stops)
+    record(built, part, observers=[Counting()], should_stop=lambda: stage_ends >= stops)
     assert read_result(part).status == "stopped"
-    carry_out(built, part)
+    record(built, part)
     assert (part / "rollouts.npz").read_bytes() == (whole / "rollouts.npz").read_bytes()
     assert read_result(part).estimate == read_result(whole).estimate
     assert read_result(part).surrogate == read_result(whole).surrogate
@@ -167,11 +167,11 @@ def test_a_run_does_not_go_on_with_another_surrogate(tmp_path):
             stages.extend([None] * (type(event).__name__ == "StageDone"))
 
     begun = experiment(SURROGATES["right"], seed=8)
-    carry_out(begun, part, observers=[Counting()], should_stop=lambda: len(stages) >= 3)
+    record(begun, part, observers=[Counting()], should_stop=lambda: len(stages) >= 3)
     changed = experiment(SURROGATES["fails too often"], seed=8)
     with pytest.raises(RunError, match=r"^surrogate 'surrogate': has changed since this run was"):
-        carry_out(changed, part)
-    carry_out(begun, part)
+        record(changed, part)
+    record(begun, part)
     assert read_result(part).estimate == run(begun).estimate
 
 

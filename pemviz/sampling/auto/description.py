@@ -76,7 +76,8 @@ def _build(config: ExperimentConfig, back_end: BackEnd) -> AutoSampling:
         times = f" in {config.repetitions} repetitions" * (config.repetitions > 1)
         message = (
             f"max_rollouts = {config.max_rollouts}: must be at least the "
-            f"{budget * config.repetitions} that stages, rollouts and final_rollouts come to{times}"
+            f"{budget * config.repetitions} that stages, rollouts and final_rollouts come to"
+            f"{times}; or lower these"
         )
         raise ConfigError(message)
     is_slow = episodic(back_end.simulator) is not None or back_end.batch_rollouts < FAST_BATCH

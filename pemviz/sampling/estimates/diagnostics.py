@@ -381,7 +381,8 @@ def lost_rollouts(
     said = f"{count} of {rollouts} rollouts could not be simulated"
     share = count / rollouts
     if counts_as == "violation":
-        text = f"{said} and count as violations; without them the answer would be {otherwise:.2g}"
+        text = f"{said} and count as violations; if they did not, these rollouts would say "
+        text += f"{otherwise:.2g}"
         return (Diagnostic("lost-rollouts", share, None, text),)
     if probability <= std_error:
         text = f"{said} and count as none; as violations they would make it {otherwise:.2g}"
