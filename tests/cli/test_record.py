@@ -144,8 +144,9 @@ def test_a_signal_stops_the_run_and_keeps_what_is_done(tmp_path, number):
     process.send_signal(number)
     _, complaint = process.communicate(timeout=30)
     assert process.returncode == 3
-    assert "stopped" in complaint
     (folder,) = tmp_path.iterdir()
+    assert "pemviz: stopped; what was finished is in " in complaint
+    assert f"go on with: pemviz record --resume {folder}\n" in complaint
     document = json.loads((folder / "result.json").read_text())
     assert document["status"] == "stopped"
     assert len(document["stages"]) >= 1
