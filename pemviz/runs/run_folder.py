@@ -291,7 +291,7 @@ def record(
         store = RunStore(folder, archive=archive, others=(RECORDING,), keeps_stages=goes_on)
         return run(
             going_on(experiment, archive),
-            run_id=folder.name,
+            run_id=folder.resolve().name,
             observers=[_DoneLast(store, recorders), *observers],
             should_stop=should_stop,
             workers=workers,
