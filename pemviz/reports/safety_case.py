@@ -10,6 +10,7 @@ from pemviz._version import __version__
 from pemviz.colors import BLUE
 from pemviz.config import SHIPPED_SIMULATORS
 from pemviz.pem import PemCard
+from pemviz.pem.model_files import is_python
 from pemviz.reports import document as doc
 from pemviz.reports import html
 from pemviz.reports.argument import Argument, argument_of_budget, argument_of_runs
@@ -339,11 +340,12 @@ def _reproduce(run: CaseRun, document: Document) -> tuple[Block, ...]:
     digests = tuple((f"{name} (SHA-256)", doc.Verbatim(v)) for name, v in run.digests.items())
     version = run.result.versions.get("pemviz", "in the same version")
     again, versions = "To have the same figures again", f"pemviz {version} with the versions above"
+    allowed = " --allow-python" if is_python(run.result.config.pem) else ""
     how: tuple[Block, ...] = (
         Paragraph(
             f"{again}: save the configuration below as config.toml, install {versions}, and run"
         ),
-        doc.Code("pemviz record --config config.toml"),
+        doc.Code(f"pemviz record --config config.toml{allowed}"),
     )
     own = run.result.simulator
     if own is not None and run.result.config.simulator in SHIPPED_SIMULATORS:

@@ -11,10 +11,11 @@ from pemviz.cli.main import main
 from pemviz.config import ExperimentConfig
 from pemviz.errors import InputError
 from pemviz.files.shipped import sample_run
+from pemviz.latents import LatentCounts
 from pemviz.reports.case_runs import CaseRun, read_case_run, run_folders
 from pemviz.reports.safety_case import MOST_IN_FULL, claim_sentence, claims, safety_case_page
 from pemviz.runs.reading import read_result
-from pemviz.runs.result import OwnSystem, RunMemory
+from pemviz.runs.result import OwnSystem, PemInfo, RunMemory
 from pemviz.runs.result_file import write_result
 from pemviz.sampling.bursts.curve import CurvePoint
 from tests.reports.runs import PLAN, estimate, nasty_result, result, warned
@@ -126,6 +127,26 @@ def test_how_to_have_the_figures_again_is_a_command_only_where_one_does():
         assert (
             "run the program that put simulator cart (carts.Cart) together" in page
         ) != by_command
+
+
+def test_a_model_that_python_names_is_allowed_in_the_command():
+    page = page_of(sound(config=ExperimentConfig(simulator="cart", pem="carts:CAMERA")))
+    assert "pemviz record --config config.toml --allow-python" in page
+
+
+def test_what_is_random_beside_perception_is_said():
+    deterministic = "Everything but perception is deterministic in it"
+    assert deterministic in page_of(sound())
+    page = page_of(sound(latents=LatentCounts(seeds=1)))
+    assert deterministic not in page
+    assert "Random in it beside perception: 1 for seeds (assumptions below)." in page
+
+
+def test_a_model_without_data_is_not_said_to_have_learned():
+    stated = PemInfo(name="Camera", digest="ab", data="data that it does not name (a model)")
+    page = page_of(sound(pem=stated))
+    assert "given what it looks at, stated. How far" in page
+    assert "learned from data that it does not name" not in page
 
 
 def test_the_page_holds_nothing_but_itself():
