@@ -329,7 +329,8 @@ def _is_program() -> bool:
     """Whether what runs is a script of the user's own, which processes that are spawned import."""
     main = sys.modules["__main__"]
     is_script = getattr(main, "__spec__", None) is None
-    return is_script and Path(getattr(main, "__file__", "")).stem not in {"", __package__}
+    path = getattr(main, "__file__", None) or ""
+    return is_script and Path(path).stem not in {"", __package__}
 
 
 def _ending(exit_code: int) -> str:

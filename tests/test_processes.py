@@ -10,7 +10,7 @@ from multiprocessing.context import SpawnProcess
 import pytest
 
 from pemviz.errors import RunError
-from pemviz.processes import ONE_THREAD, STOPS, ProcessPool, can_be_sent, map_in_processes
+from pemviz.processes import GUARD, ONE_THREAD, STOPS, ProcessPool, can_be_sent, map_in_processes
 
 
 def slowest_first(value):
@@ -152,6 +152,26 @@ def test_processes_end_when_their_parent_is_killed(tmp_path, request):
         # The child holds the pipe's other end too: the pipe is at its end once both have ended.
         assert parent.stdout.read() == ""
     assert time.monotonic() - began_s < 300.0
+
+
+UNGUARDED = """
+from concurrent.futures import wait
+from pemviz.processes import ProcessPool
+
+pool = ProcessPool(1)
+wait([pool.submit(abs, -3)])
+print(pool.renew())
+"""
+
+
+def test_a_program_that_begins_its_work_where_it_is_imported_is_told_so(tmp_path, request):
+    script = tmp_path / "program.py"
+    script.write_text(UNGUARDED, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=True, timeout=300.0,
+        env={**os.environ, "PYTHONPATH": str(request.config.rootpath)},
+    )  # fmt: skip
+    assert done.stdout == f"the process ended with exit code 1; {GUARD}\n"
 
 
 @pytest.mark.parametrize(
