@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pemviz.runs.replay import Replayed, replay
     from pemviz.runs.result import RunResult
     from pemviz.runs.result_file import result_document
-    from pemviz.runs.run_folder import RunStore, record
+    from pemviz.runs.run_folder import record
     from pemviz.sampling.description import MethodDescription
     from pemviz.sampling.state.component import Known
     from pemviz.sampling.state.hidden import HiddenProperty
@@ -75,7 +75,7 @@ _HOMES = {
     "runs.replay": "Replayed replay",
     "runs.result": "RunResult",
     "runs.result_file": "result_document",
-    "runs.run_folder": "RunStore record",
+    "runs.run_folder": "record",
     "sampling.description": "MethodDescription",
     "sampling.state.component": "Known",
     "sampling.state.hidden": "HiddenProperty",
@@ -106,7 +106,7 @@ __all__ = [
     "HiddenProperty", "InputError", "Kalman", "KeptStages", "Known", "LatentCounts",
     "LatentSimulator", "Latents", "LeastRobust", "MethodDescription", "NamesStarts", "PemvizError",
     "Proposal", "Ramp", "Replayed", "Road", "Rollout", "RolloutBatch", "RunError", "RunResult",
-    "RunStore", "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator",
+    "ScenarioConfig", "SceneCar", "SceneStates", "SceneTracks", "Signal", "Simulator",
     "Slot", "SlotSimulator", "StateBatch", "StateFeatures", "Tracker", "TrackerState",
     "UndecidedError", "__version__", "build_experiment", "named_detections_action",
     "quantised_start", "raise_if_undecided", "read_result", "read_rollout", "read_rollouts",

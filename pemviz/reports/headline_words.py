@@ -47,8 +47,9 @@ def headline_blocks(result: RunResult, *, running: bool = False) -> Iterator[Blo
     yield Paragraph(range_line, tone="large")
     memory = result.memory
     asked = memory is not None and memory.is_independent and not memory.curve
-    if memory is not None and asked and memory.unmeasured not in range_line:
-        yield Paragraph(f"with a memory of misses: {NOT_KNOWN}, {memory.unmeasured}", tone="quiet")
+    unknown = memory.unmeasured if memory is not None and asked else ""
+    if unknown not in range_line:
+        yield Paragraph(f"with a memory of misses: {NOT_KNOWN}, {unknown}", tone="quiet")
     for line in _measured_lines(first, result.memory):
         yield Paragraph(line, tone="quiet")
 

@@ -29,8 +29,9 @@ from pemviz.sampling.method import AnswersRules, Method
 from pemviz.sampling.problem import Problem
 from pemviz.sampling.registry import build_named_method, by_name
 from pemviz.sampling.rollouts.repeat import LOGIT_ROUNDING
+from pemviz.sampling.rollouts.runners import check_values
 from pemviz.sampling.rollouts.simulate import replay
-from pemviz.sampling.slots import with_slots
+from pemviz.sampling.slots import turns_of, with_slots
 from pemviz.sampling.state.composed import as_member, composed, properties_of_memory
 from pemviz.sampling.state.hidden import HiddenProperty
 from pemviz.sampling.zero_variance.method import require_unsafe
@@ -327,13 +328,9 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
     outcomes = np.zeros((2, simulator.states - 1), dtype=np.bool_)
     outcomes[1] = True
     signals = replay(simulator=simulator, detected=outcomes)
-    for name, values in signals.items():
-        if not np.isfinite(values).all():
-            row, step = np.argwhere(~np.isfinite(values))[0].tolist()
-            raise ConfigError(
-                f"simulator {simulator.name!r}: {name} is {values[row, step]} at step {step}: must "
-                "be a finite number"
-            )
+    named = [(f"simulator {simulator.name}: {name}", values) for name, values in signals.items()]
+    with refusing():
+        check_values(named, turns=turns_of(simulator))
     salient = simulator.salient({name: values[:, :-1] for name, values in signals.items()})
     where = f"pem = {pem.name!r} on simulator {simulator.name!r}"
     try:

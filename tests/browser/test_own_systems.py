@@ -20,10 +20,7 @@ def own_runs(panel, tmp_path, monkeypatch):
         config = pemviz.ExperimentConfig(
             simulator=name, method="naive", spec=RULES[name], final_rollouts=60, plan=False
         )
-        folder = panel.root / name
-        folder.mkdir()
-        experiment = pemviz.build_experiment(config, pem=pem)
-        pemviz.run(experiment, run_id=name, observers=[pemviz.RunStore(folder)])
+        pemviz.record(pemviz.build_experiment(config, pem=pem), panel.root / name)
 
 
 PLACES = """() => {

@@ -26,7 +26,7 @@ def registered(tmp_path_factory):
             )
             experiment = pemviz.build_experiment(config, pem=pem)
             (root / name).mkdir()
-            pemviz.run(experiment, run_id=name, observers=[pemviz.RunStore(root / name)])
+            pemviz.record(experiment, root / name)
         yield {name: load_run(root / name) for name in PEMS}
 
 

@@ -43,7 +43,7 @@ def ran(tmp_path_factory):
     )
     watcher = Watcher(folder=folder, publish=lambda *_: None, own=CutIn())
     experiment = pemviz.build_experiment(CONFIG, simulator=CutIn(), pem=CameraOfTwo())
-    pemviz.run(experiment, run_id="a-run", observers=[pemviz.RunStore(folder), watcher, listener])
+    pemviz.record(experiment, folder, observers=[watcher, listener])
     return SimpleNamespace(run=watcher.run, folder=folder, rollouts=stages[0].scored.rollouts)
 
 

@@ -214,20 +214,6 @@ def test_wrong_detectors_are_refused_in_one_line(pem, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_signal_that_is_no_number_is_the_simulators_and_not_the_error_models():
-    class Odd(ToySimulator):
-        """Whose gap is lost where two misses follow a detection, as in no trial of one outcome."""
-
-        def step(self, states, detected):
-            after = super().step(states, detected)
-            gap = np.where(detected & (states.step == 7), np.nan, after.signals["gap"])
-            return replace(after, signals={"gap": gap})
-
-    words = "^simulator 'toy': .*gap (is nan at step 8: must be a finite number|must be finite)"
-    with pytest.raises(pemviz.InputError, match=words):
-        pemviz.build_experiment(CONFIG, simulator=Odd(), pem=ToyPem())
-
-
 def test_a_model_for_cars_is_refused_by_another_scenario():
     with pytest.raises(pemviz.InputError, match=r"'ml-nn' on simulator 'toy'.*\[\.\.\., 11\]"):
         pemviz.build_experiment(CONFIG, simulator=ToySimulator())

@@ -365,7 +365,7 @@ def test_weighted_rollouts_and_nameless_features_make_no_table(tmp_path):
 
 
 def test_a_result_speaks_of_no_error_model(tmp_path):
-    result = pemviz.run(built(final_rollouts=2000), observers=[pemviz.RunStore(tmp_path)])
+    result = pemviz.record(built(final_rollouts=2000), tmp_path)
     said = pemviz.summary_text(result)
     assert "with the detector itself on rendered images" in said
     for words in ("independent", "error model is right", "learned from", "warning", "by itself"):

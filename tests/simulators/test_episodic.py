@@ -268,6 +268,20 @@ class NotANumber(WalkEpisodes):
         return {"gap": float("nan")}, False
 
 
+class LostFarOut(WalkEpisodes):
+    def step(self, detected):
+        values, ended = super().step(detected)
+        far = self.gap <= WALK.initial_gap - 10
+        return ({"gap": float("nan")} if far else values), ended
+
+
+def test_a_value_that_is_no_number_is_the_simulators_where_no_trial_episode_met_it():
+    """Ten misses more than detections are in no trial of its own, but where the model is tried."""
+    words = r"^simulator walk-episodes: gap is nan in rollout 0, step 10: must be a finite number$"
+    with pytest.raises(pemviz.InputError, match=words):
+        run_of(LostFarOut())
+
+
 @pytest.mark.parametrize(
     ("made", "words"),
     [

@@ -1,6 +1,7 @@
 """Batches of rollouts, and who simulates them: this thread, a compiled loop or workers."""
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
@@ -145,7 +146,16 @@ def check_numbers(rollouts: RolloutBatch, *, simulator: str, turns: int = 1) -> 
         if not all(values is None or np.isfinite(values).all() for values in moved):
             message = "proposal: the mean of a latent is no finite number"
             raise SimulationError(message)
-    worst, earliest = None, rollouts.pem_logit.shape[1] + 1
+    check_values(named, turns=turns)
+
+
+def check_values(named: Sequence[tuple[str, FloatArray]], *, turns: int = 1) -> None:
+    """Refuse values ``[N, T]``, each with what it is, that are no finite numbers.
+
+    Raises:
+        SimulationError: As :func:`check_numbers` has it.
+    """
+    worst, earliest = None, math.inf
     for what, values in named:
         if _are_numbers(values.T):
             continue
