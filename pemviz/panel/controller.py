@@ -63,7 +63,7 @@ class Watcher:
                 if self.run is not None:
                     going_on = isinstance(event, events.RepetitionDone)
                     self.run = replace(self.run, result=event.result, running=going_on)
-            case events.RolloutsDone():
+            case events.RolloutsDone() | events.RolloutsSearched():
                 pass
         if self.run is not None:
             self._publish(self.run, self.progress)

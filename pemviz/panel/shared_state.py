@@ -46,6 +46,8 @@ def _progress_text(progress: Progress) -> str:
     if progress.repetitions > 1:
         words = f"Repetition {progress.repetition + 1} of {progress.repetitions}, {words.lower()}"
     words += f": {counted_in_words(progress)}"
+    if progress.searched:
+        words += f" and {progress.searched:,} in a search"
     words += f" {progress.workers}" if progress.workers else ""
     if progress.elapsed_s >= LONG_S and not progress.by_level:
         words += f", {60.0 * progress.done / progress.elapsed_s:,.0f} a minute"

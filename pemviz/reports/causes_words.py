@@ -58,7 +58,7 @@ def burst_lines(explanation: Explanation) -> list[str]:
         frames, at = bursts.frames.median, bursts.begins_gap_m
         unit = "frame" if round(frames) == 1 else "frames"
         begins = f"{bursts.begins_s.median:.2f} s" if at is None else f"{at.median:.1f} m"
-        likely = bursts.start if bursts.again is None else bursts.start * bursts.whole
+        likely = _whole(bursts)
         chance = f", which has the probability {_probability(likely)} by itself"
         lines.append(
             f"Bursts (misses in a row) in a violation: {bursts.count:.1f}; the decisive one: "
@@ -134,9 +134,14 @@ def _likely(bursts: Bursts) -> str:
     if bursts.again is None:
         return started
     return (
-        f"{started}, each further miss {_probability(bursts.again)}, all these together "
-        f"{_probability(bursts.whole)}"
+        f"{started}, each further miss {_probability(bursts.again)}, the whole burst "
+        f"{_probability(_whole(bursts))}"
     )
+
+
+def _whole(bursts: Bursts) -> float:
+    """Of the decisive burst, its first miss too."""
+    return bursts.start if bursts.again is None else bursts.start * bursts.whole
 
 
 def _probability(value: float) -> str:

@@ -25,15 +25,16 @@ MEMORY_TITLE = "Misses that follow each other"
 OF_DETECTOR_ITSELF = "as the detector itself said of the rendered images, without an error model"
 IN_IT = "(in which the correlation of outcomes falls to 37 %)"
 """What a memory time is, in brackets beside one."""
+MEASURED_FOR = "measured on video of cars for"
 MEASURED_TITLE = "With a memory of misses as measured on video"
 TWO_TIMES = ", ".join(
     f"{time:g} in place of {MEASURED[one].tau_s:g} s" for one, time in ALIKE_S.items()
 )
 FITTED_TOGETHER = (
-    "Memory time and frailty were fitted together. Where all obstacles are taken as equal a memory "
+    "Memory time and frailty were fitted together. Where all objects are taken as equal a memory "
     f"time is longer ({TWO_TIMES}): then it stands for both."
 )
-ALL_EQUAL = f"all obstacles taken as equal; {TWO_TIMES} beside a frailty"
+ALL_EQUAL = f"all objects taken as equal; {TWO_TIMES} beside a frailty"
 """Why a time that was measured is another one here than in the answer."""
 SAME = 0.01
 """What differs by less from the error model's own measured place is that of the same detector."""
@@ -71,7 +72,7 @@ BY_MEMORY_TIME = CurveAxis(
     title="If misses come in bursts, by memory time",
     note="Memory time: in it the correlation of one outcome with a later one falls to 37 %. The "
     "longer, the longer bursts of misses; how often it misses is about as before. Where the "
-    f"frailty is 0, those measured on video are for obstacles that are all equal: {TWO_TIMES}, as "
+    f"frailty is 0, those measured on video are for objects that are all equal: {TWO_TIMES}, as "
     "fitted beside a frailty.",
     shown=(0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
     measured=lambda memory: measured_s(memory.frailty),
@@ -84,8 +85,8 @@ BY_FRAILTY = CurveAxis(
     head="frailty",
     none="all equal",
     unit="",
-    title="If some obstacles are harder to see all along, by frailty",
-    note="Frailty: how much obstacles differ in being missed beyond what the state explains, each "
+    title="If some objects are harder to see all along, by frailty",
+    note="Frailty: how much objects differ in being missed beyond what the state explains, each "
     "all along; how often it misses is as before. On video it was fitted beside a memory time.",
     shown=(0.0, 0.1, 0.2, 0.3, 0.5, 1.0),
     measured=lambda _: MEASURED_FRAILTY,
@@ -116,7 +117,7 @@ def curve_table(memory: RunMemory, axis: CurveAxis) -> Table | None:
                 interval += f": not a 95 % interval, {point.caveats[0]}"
         rows.append((named, end_text(point.probability), interval, names.get(place, "")))
     level = "" if any(point.caveats for point in points) else "95 % "
-    columns = (axis.head, "probability", f"{level}interval", "measured on video for")
+    columns = (axis.head, "probability", f"{level}interval", MEASURED_FOR)
     table = Table(columns, tuple(rows), name=axis.title, note=axis.note, numbers=(0, 1))
     return table if rows else None
 
@@ -131,7 +132,7 @@ def measured_table(memory: RunMemory) -> Table | None:
             interval += f": not a 95 % interval, {point.caveats[0]}"
         place = (f"{point.tau_s:.2g} s", f"{point.frailty:.2g}")
         rows.append((one.name, *place, end_text(point.probability), interval))
-    columns = ("measured on video for", "memory time", "frailty", "probability", "interval")
+    columns = (MEASURED_FOR, "memory time", "frailty", "probability", "interval")
     table = Table(
         columns, tuple(rows), name=MEASURED_TITLE, note=FITTED_TOGETHER, numbers=(1, 2, 3)
     )
@@ -162,7 +163,7 @@ def assumption_line(memory: RunMemory | None) -> str | None:
     here, others = points[memory.tau_s], _elsewhere(memory, BY_MEMORY_TIME)
     names = measured_names(memory, BY_MEMORY_TIME)
     if memory.tau_s == 0.0:
-        given = "the state" if memory.frailty == 0.0 else "the state and the obstacle"
+        given = "the state" if memory.frailty == 0.0 else "the state and the object"
         assumed = f"That misses are independent given {given} is an assumption"
         if memory.fitted is None:
             assumed += ": this error model says nothing of it, and single frames cannot tell"
@@ -181,9 +182,9 @@ def frailty_line(memory: RunMemory | None) -> str | None:
     if memory is None or not memory.frailty_curve:
         return None
     equal = _by_place(memory, BY_FRAILTY)[0.0].probability
-    assumed = f"a frailty of {memory.frailty:.3g}: {equal:.1g} if obstacles are equal (0)"
+    assumed = f"a frailty of {memory.frailty:.3g}: {equal:.1g} if objects are equal (0)"
     if memory.frailty == 0.0:
-        assumed = f"that obstacles in the same state are equal (frailty 0): {equal:.1g} if they are"
+        assumed = f"that objects in the same state are equal (frailty 0): {equal:.1g} if they are"
     assumptions = ", ".join([assumed, *_elsewhere(memory, BY_FRAILTY)])
     return f"So is {assumptions}.{_worth(memory, BY_FRAILTY)}"
 

@@ -171,7 +171,7 @@ def _full(result: RunResult, estimate: Estimate, gate: GateDecision | None) -> I
     dotted = ""
     if caveats or any(map(interval_caveats, several)):
         dotted = "; dotted is not a 95 % interval (the table and the warnings say why)"
-    yield from figure(chart, caption=f"Probability with its interval, logarithmic axis{dotted}:")
+    yield from figure(chart, caption=f"Probability with its interval, logarithmic axis{dotted}.")
 
 
 def _given_section(result: RunResult) -> Section:

@@ -14,9 +14,9 @@ GRANTED: Mapping[SourceKind, str] = {
     "lost": "rollouts that could not be simulated may violate or not, and nothing else is wrong",
     "refits": "any refit of {pem} to its data may be right",
     "model-classes": "any of the other shipped kinds of error model may be right",
-    "memory": "misses may hang together in time, and obstacles differ, as far as was looked at",
-    "data": "of the model no more is granted than that P(missed) is constant in bands of distance, "
-    "and misses are as assumed",
+    "memory": "misses may hang together in time, and objects differ, as far as was looked at",
+    "data": "of the model no more is granted than that P(missed) is constant in each band of its "
+    "data, and misses are as assumed",
 }
 """What each source takes for granted, beside the assumptions below."""
 

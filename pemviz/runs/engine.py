@@ -42,7 +42,13 @@ from pemviz.sampling.method import (
     PoolsStages,
     SurrogateLearning,
 )
-from pemviz.sampling.rollouts.repeat import RepeatedAhead, Repeats, repeated, to_repeat
+from pemviz.sampling.rollouts.repeat import (
+    RepeatedAhead,
+    Repeats,
+    SomeOfStage,
+    repeated,
+    to_repeat,
+)
 from pemviz.simulators.detector_loop import DetectorItself
 from pemviz.simulators.latents import latent_counts
 from pemviz.simulators.own_randomness import fixed_randomness
@@ -276,7 +282,7 @@ class _Runner:
 
     def _repeat(self, repetition: int) -> None:
         method, problem = self._experiment.method, self._experiment.problem
-        state, stage, some = method.init(problem, repetition=repetition), 0, list[ScoredRollouts]()
+        state, stage, some = method.init(problem, repetition=repetition), 0, list[SomeOfStage]()
         lost = LostOfRepetition()
 
         def progress(done: int, total: int, *, again: bool = False) -> None:
@@ -284,12 +290,16 @@ class _Runner:
             self._notify(told)
             self._pause()
 
+        def searched(count: int) -> None:
+            self._notify(events.RolloutsSearched(repetition, stage, count))
+            self._pause()
+
         ahead = RepeatedAhead(problem)
-        watched = replace(problem, progress=progress, seen=ahead.saw)
+        watched = replace(problem, progress=progress, searched=searched, seen=ahead.saw)
         while not method.is_done(state):
             self._at = repetition, stage
             state, result = method.step(watched, state)
-            some.append(to_repeat(problem, result.scored))
+            some.append(to_repeat(problem, result))
             self._at = None
             if problem.lost != "end":
                 lost = lost.with_stage(result, problem)
@@ -447,7 +457,7 @@ def _assumptions(experiment: Experiment) -> tuple[str, ...]:
         return (first, INDEPENDENT, *others)
     tau_s, frailty = memory.tau_s, memory.frailty
     how = [f"with a memory time of {tau_s:.3g} s"] if tau_s else []
-    how += [f"by obstacles differing, frailty {frailty:.3g}, all rollout long"] if frailty else []
+    how += [f"by objects differing, frailty {frailty:.3g}, all rollout long"] if frailty else []
     how += [f"by {label}" for label in memory.hidden]
     bursts = f"given the state, misses hang together {' and '.join(how)}, and no more"
     return (first, bursts, *others)

@@ -60,6 +60,21 @@ class RolloutsDone:
 
 
 @dataclass(frozen=True)
+class RolloutsSearched:
+    """Rollouts are simulated that are no stage's: a search for failure modes, or for levels.
+
+    Attributes:
+        repetition: Zero-based.
+        stage: Zero-based; beside, before or after whose own rollouts they come.
+        count: How many, since this was last told.
+    """
+
+    repetition: int
+    stage: int
+    count: int
+
+
+@dataclass(frozen=True)
 class StageDone:
     """A stage is done.
 
@@ -107,7 +122,9 @@ class RunFailed:
     result: RunResult
 
 
-Event = RunStarted | RolloutsDone | StageDone | RepetitionDone | RunDone | RunFailed
+Event = (
+    RunStarted | RolloutsDone | RolloutsSearched | StageDone | RepetitionDone | RunDone | RunFailed
+)
 
 
 class Observer(Protocol):

@@ -5,11 +5,19 @@ method that goes on until its answer is precise says after each stage what it ha
 still, and whether what it learns may ask for more.
 """
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Self
 
-from pemviz.runs.events import Event, RepetitionDone, RolloutsDone, RunStarted, StageDone
+from pemviz.runs.events import (
+    Event,
+    RepetitionDone,
+    RolloutsDone,
+    RolloutsSearched,
+    RunStarted,
+    StageDone,
+)
 from pemviz.sampling.registry import by_name
 from pemviz.sampling.rollouts.repeat import SHARE as AGAIN
 
@@ -37,7 +45,9 @@ class Progress:
         may_grow: Whether what is learned may ask for more than is planned.
         by_level: Whether rollouts done and planned tell how far splitting's levels have come.
         goes_on: Whether the method goes on until its answer is precise.
-        searches: Rollouts that may come beside the planned ones.
+        most_s: A run may take that long.
+        searches: Rollouts that may come beside the planned ones, as of the last stage's end.
+        searched: Rollouts beside them since then.
         learning_stages: That are still to come.
         sampling_since_s: From when on rollouts of the stage under way were sampled.
         sampled: Rollouts that were sampled here, no interrupted run's, in stages that are done.
@@ -61,7 +71,9 @@ class Progress:
     may_grow: bool = False
     by_level: bool = False
     goes_on: bool = False
+    most_s: float = math.inf
     searches: int = 0
+    searched: int = 0
     learning_stages: int = 0
     sampling_since_s: float = 0.0
     sampled: int = 0
@@ -90,9 +102,10 @@ class Progress:
             took_s, sampled = took_s + self.current_s, sampled + self.current
         if sampled < SOME or not self.planned:
             return None
-        beside = self.searches + AGAIN * self.planned
+        beside = max(self.searches - self.searched, 0) + AGAIN * self.planned
         rollouts = max(self.planned - self.done, 0) + beside
-        return took_s / sampled * rollouts + self.fit_s * self.learning_stages
+        left_s = took_s / sampled * rollouts + self.fit_s * self.learning_stages
+        return min(left_s, max(self.most_s - self.elapsed_s, 0.0))
 
     def after(self, event: Event, *, now_s: float) -> Self:
         """As ``event`` leaves it, which came at ``now_s``."""
@@ -101,6 +114,9 @@ class Progress:
                 at = self._started(event, now_s)
             case RolloutsDone(again=False):
                 at = self._sampling(event, now_s)
+            case RolloutsSearched():
+                searched = self.searched + event.count
+                at = replace(self, stage=event.stage, searched=searched, sampling_since_s=now_s)
             case StageDone():
                 at = self._stage_done(event, now_s)
             case RepetitionDone():
@@ -111,7 +127,7 @@ class Progress:
         return replace(at, now_s=now_s, share=max(self.share, share))
 
     def _started(self, event: RunStarted, now_s: float) -> Self:
-        method = by_name(event.config.method)
+        method, minutes = by_name(event.config.method), event.config.max_minutes
         goes_on = method.most is not None
         return replace(
             self,
@@ -120,12 +136,13 @@ class Progress:
             planned=0 if goes_on else event.planned_rollouts,
             by_level=method.counting == "level",
             goes_on=goes_on,
+            most_s=math.inf if minutes is None else 60.0 * minutes,
             sampling_since_s=now_s,
         )
 
     def _sampling(self, event: RolloutsDone, now_s: float) -> Self:
         at = replace(self, repetition=event.repetition, stage=event.stage, current=event.done)
-        if event.done == 0:  # a search beside the stage's own rollouts
+        if event.done == 0:  # learned on a surrogate
             return replace(at, sampling_since_s=now_s)
         # an interrupted run's stage is done at once
         is_left = event.done == event.total and not self.current_s
@@ -152,6 +169,7 @@ class Progress:
             current=0,
             planned=planned,
             searches=searches,
+            searched=0,
             may_grow=may_grow,
             learning_stages=learning,
             sampling_since_s=now_s,
@@ -175,6 +193,11 @@ def counted_in_words(progress: Progress) -> str:
     if not progress.planned:
         return f"{progress.done:,} rollouts"
     return f"{progress.done:,} of {progress.planned:,} rollouts"
+
+
+def searched_in_words(progress: Progress) -> str:
+    """What a search beside the stage under way has simulated."""
+    return f"stage {progress.stage}, searching: {progress.searched:,} rollouts"
 
 
 def left_in_words(progress: Progress, *, now_s: float | None = None) -> str:

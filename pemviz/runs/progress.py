@@ -11,15 +11,29 @@ from rich.table import Column
 from rich.text import Text
 
 from pemviz.bars import bar, drawn_on_terminal
-from pemviz.runs.events import Event, Observer, RepetitionDone, RolloutsDone, RunStarted, StageDone
-from pemviz.runs.forecast import Progress, counted_in_words, left_in_words, progress_now
+from pemviz.runs.events import (
+    Event,
+    Observer,
+    RepetitionDone,
+    RolloutsDone,
+    RolloutsSearched,
+    RunStarted,
+    StageDone,
+)
+from pemviz.runs.forecast import (
+    Progress,
+    counted_in_words,
+    left_in_words,
+    progress_now,
+    searched_in_words,
+)
 from pemviz.runs.ranking import summarise_stage
 from pemviz.runs.result import StageSummary
 
 QUARTERS = 4
 BAR_WIDTH = 12
 SILENT_S = 30.0
-REPEATED = "simulated again"
+STARTING, REPEATED = "starting", "simulated again"
 
 
 class ProgressBar:
@@ -28,6 +42,7 @@ class ProgressBar:
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self._task: TaskID | None = None
+        self._stage = STARTING
         self._progress = progress_now()
 
     def notify(self, event: Event) -> None:
@@ -35,14 +50,17 @@ class ProgressBar:
         self._progress = self._progress.after(event, now_s=time.monotonic())
         match event:
             case RunStarted():
-                self._task = self._bars.add_task("starting", total=1.0, progress=self._progress)
+                self._task = self._bars.add_task(self._stage, total=1.0, progress=self._progress)
             case RolloutsDone(again=True):
                 self._move(description=f"{REPEATED}: {event.done} of {event.total}")
             case RolloutsDone():
-                self._move()
+                self._move(description=self._stage)
+            case RolloutsSearched():
+                self._move(description=searched_in_words(self._progress))
             case StageDone():
                 stage = summarise_stage(event.stage)
-                self._move(description=stage_line(stage, repetitions=self._progress.repetitions))
+                self._stage = stage_line(stage, repetitions=self._progress.repetitions)
+                self._move(description=self._stage)
             case _:
                 pass
 
@@ -87,6 +105,8 @@ class ProgressLines:
                 of = f", repetition {event.repetition + 1}" if repetitions > 1 else ""
                 at = REPEATED if event.again else f"stage {event.stage}"
                 self._print(f"{at}{of}: {event.done} of {event.total} rollouts")
+            case RolloutsSearched() if self._is_silent():
+                self._print(searched_in_words(self._progress))
             case StageDone() if repetitions == 1:
                 if self._is_due(event.stage.stage, self._progress.stages):
                     self._print(stage_line(summarise_stage(event.stage), repetitions=1))

@@ -74,6 +74,10 @@ def no_progress(done: int, total: int) -> None:
     """Nobody is told."""
 
 
+def not_counted(count: int) -> None:
+    """Nobody is told."""
+
+
 def _no_pause() -> None:
     """Go on."""
 
@@ -113,6 +117,8 @@ class Problem:
         run_batches: Who simulates the batches.
         progress: Gets after every batch how many of a stage's rollouts are done, and of how
             many; may raise to stop a run.
+        searched: Gets how many rollouts were simulated beside a stage's own, of a search; may
+            raise likewise.
         pause: Called now and then during long work between rollouts; may raise likewise.
         seen: Gets every batch of a stage once it is scored, which rollout of the stage its first
             one is, and how many the stage is to have.
@@ -140,6 +146,7 @@ class Problem:
     step_time_limit_s: float | None = None
     run_batches: BatchRunner = run_here
     progress: Callable[[int, int], None] = no_progress
+    searched: Callable[[int], None] = not_counted
     pause: Callable[[], None] = _no_pause
     seen: Callable[[ScoredRollouts, int, int], None] = not_watched
     finished: Callable[[int, int], FinishedStage | None] = nothing_finished

@@ -6,9 +6,9 @@ import pytest
 
 from pemviz.config import ExperimentConfig
 from pemviz.runs.engine import run
-from pemviz.runs.events import RepetitionDone, RolloutsDone, RunStarted, StageDone
+from pemviz.runs.events import RepetitionDone, RolloutsDone, RolloutsSearched, RunStarted, StageDone
 from pemviz.runs.experiment import build_experiment
-from pemviz.runs.forecast import Progress, counted_in_words, left_in_words
+from pemviz.runs.forecast import Progress, counted_in_words, left_in_words, searched_in_words
 from pemviz.sampling.method import Foreseen
 from tests.lattice_walk import ToyPem, ToySimulator
 
@@ -16,8 +16,8 @@ RARE = ToySimulator(initial_gap=5, states=20), ToyPem(at_zero=2.5)
 OFTEN = ToySimulator(initial_gap=2, states=12), ToyPem(at_zero=1.0)
 
 
-def started(method="mixture", *, repetitions=1, planned=400, stages=4):
-    config = ExperimentConfig(method=method, repetitions=repetitions)
+def started(method="mixture", *, repetitions=1, planned=400, stages=4, **limits):
+    config = ExperimentConfig(method=method, repetitions=repetitions, **limits)
     event = RunStarted(config, (), None, None, stages, planned, None)
     return Progress(began_s=100.0, now_s=100.0).after(event, now_s=100.0)
 
@@ -48,11 +48,36 @@ def test_what_an_interrupted_run_left_takes_no_time_that_counts():
     assert at.left_s == (200 + 8) * 0.5
 
 
-def test_a_search_before_a_stage_is_no_time_of_its_rollouts():
+@pytest.mark.parametrize(
+    "beside", [RolloutsDone(0, 1, done=0, total=100), RolloutsSearched(0, 1, count=600)]
+)
+def test_what_comes_before_a_stage_is_no_time_of_its_rollouts(beside):
     at = started().after(stage(0, simulation=50.0), now_s=150.0)
-    at = at.after(RolloutsDone(0, 1, done=0, total=100), now_s=450.0)
+    at = at.after(beside, now_s=450.0)
     at = at.after(RolloutsDone(0, 1, done=20, total=100), now_s=460.0)
     assert at.left_s == (280 + 8) * 0.5
+
+
+def test_what_a_search_has_simulated_is_told_and_no_longer_to_come():
+    foreseen = Foreseen(rollouts=300, learning_stages=0, searches=500, may_grow=False)
+    at = started("auto").after(stage(0, foreseen=foreseen, simulation=50.0), now_s=150.0)
+    assert at.left_s == (300 + 8 + 500) * 0.5
+    for searched, left in ((200, 300), (250, 50), (100, 0)):
+        at = at.after(RolloutsSearched(0, 1, count=searched), now_s=200.0)
+        assert at.left_s == (300 + 8 + left) * 0.5
+    assert searched_in_words(at) == "stage 1, searching: 550 rollouts"
+    assert counted_in_words(at) == "100 of 400 rollouts"  # they are no stage's
+    at = at.after(stage(1, foreseen=foreseen, simulation=50.0), now_s=300.0)
+    assert at.searched == 0
+    assert at.left_s == (300 + 10 + 500) * 0.5
+
+
+def test_a_run_is_told_no_more_time_than_its_limit_leaves():
+    at = started(max_minutes=2.0).after(stage(0, simulation=50.0), now_s=150.0)
+    assert at.left_s == 120.0 - 50.0
+    assert at.after(RolloutsDone(0, 1, done=0, total=100), now_s=230.0).left_s == 0.0
+    longer = started(max_minutes=4.0).after(stage(0, simulation=50.0), now_s=150.0)
+    assert longer.left_s == (300 + 8) * 0.5
 
 
 def test_a_method_that_goes_on_tells_no_end_until_it_has_chosen():

@@ -262,6 +262,18 @@ def test_chains_that_are_few_a_level_search_where_rollouts_are_left():
     assert not found.diagnostics
 
 
+def test_what_a_search_simulates_is_told_while_it_searches():
+    """With stages' rollouts it is all that was simulated."""
+    drift = Drift(states=9, miss_m=0.3)
+    config = ExperimentConfig(method="auto", spec=drift.spec(2.5), max_rollouts=20_000)
+    whole, searched = build_experiment(config, simulator=drift, pem=ConstantPem(0.1)), list[int]()
+    state, results = stepped_through(whole.method, replace(whole.problem, searched=searched.append))
+    found = whole.method.estimate(state)
+    assert len(searched) > 5
+    assert max(searched) < 0.5 * sum(searched)
+    assert sum(searched) + sum(stage.count for stage in results) == found.rollouts_simulated
+
+
 def test_a_limit_that_nothing_violates_within_is_spent_and_named():
     result = run(experiment(ToySimulator(initial_gap=30, states=9), RARE[1], max_rollouts=3_000))
     assert result.estimate.failures == 0

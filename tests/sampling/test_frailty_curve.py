@@ -163,7 +163,7 @@ def test_words_and_picture_say_whose_frailty_it_is_and_what_it_is_worth():
     curve = [CurvePoint(0.0, p, p / 2, 2 * p, 50.0, (), f) for f, p in ((0.0, 1e-15), (0.68, 5e-4))]
     memory = RunMemory(tau_s=0.0, frailty_curve=tuple(curve))
     line = frailty_line(memory)
-    assert line.startswith("So is that obstacles in the same state are equal (frailty 0): 1e-15")
+    assert line.startswith("So is that objects in the same state are equal (frailty 0): 1e-15")
     assert "0.0005 with that of RRC, a camera detector (0.68). " in line
     assert line.endswith("changes the answer by 12 orders of magnitude.")
     assert frailty_line(replace(memory, frailty=0.68)).startswith("So is a frailty of 0.68: 1e-15")

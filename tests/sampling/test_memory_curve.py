@@ -180,7 +180,7 @@ def test_marks_are_the_times_that_belong_to_the_frailty_of_the_curve():
         0.17: "PointRCNN, a lidar detector",
     }
     assert set(measured_names(replace(alike, frailty=0.7), BY_MEMORY_TIME)) == {0.25, 0.11}
-    note = "all obstacles taken as equal; 0.3 in place of 0.25 s, 0.17 in place of 0.11 s"
+    note = "all objects taken as equal; 0.3 in place of 0.25 s, 0.17 in place of 0.11 s"
     there = replace(alike, curve=(*alike.curve, CurvePoint(0.3, 1e-3, None, None, None)))
     assert note in assumption_line(there)
     assert note not in assumption_line(replace(there, frailty=0.7))

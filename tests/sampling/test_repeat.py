@@ -3,6 +3,7 @@
 import time
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -61,6 +62,10 @@ def built(simulator=None, pem=None, twin=None, **settings):
     return pemviz.build_experiment(config, simulator=simulator, pem=pem or ToyPem(), twin=twin)
 
 
+def some_of(problem, scored, *, stage=0):
+    return to_repeat(problem, SimpleNamespace(stage=stage, scored=scored, sampled=None))
+
+
 def of_not_repeatable(estimate):
     return [one for one in estimate.diagnostics if one.kind == "not-repeatable"]
 
@@ -83,8 +88,9 @@ def test_what_is_decided_by_outcomes_and_latents_is_the_same(simulator, settings
         count=300,
         seeds=np.random.SeedSequence(1),
     )
-    some = to_repeat(problem, scored)
-    found = repeated(problem, [some, some.take(slice(0, 0)), some])
+    some = some_of(problem, scored)
+    none = some_of(problem, scored.take(slice(0, 0)))
+    found = repeated(problem, [some, none, some])
     assert (found.count, found.differing, found.example) == (12, 0, "")
 
 
@@ -97,7 +103,7 @@ def test_a_share_of_a_stage_and_never_more_than_so_many():
             count=count,
             seeds=np.random.SeedSequence(1),
         )
-        some = to_repeat(problem, scored)
+        some = some_of(problem, scored)
         assert 1 <= repeated(problem, [some]).count <= most
     assert SHARE * 10_000 > MOST
 
@@ -153,8 +159,8 @@ def begun(ahead):
 def test_what_is_repeated_while_a_stage_is_under_way_is_what_is_repeated_of_it(proposal):
     pool = Handed()
     problem, ahead, scored = of_a_stage(pool, proposal=proposal)
-    some, early = to_repeat(problem, scored), begun(ahead)
-    assert some.rollouts.count == 5
+    some, early = some_of(problem, scored), begun(ahead)
+    assert some.scored.rollouts.count == 5
     assert 2 <= early <= 4  # two that lie evenly, and violations, where all weigh alike
     assert pool.rollouts == 240 + early
     assert repeated(problem, [some], ahead=ahead) == repeated(replace(problem), [some])
@@ -167,11 +173,11 @@ ALL_DETECTED = ConstantProposal(detection_probability=1.0 - 1e-12)
 def test_rollouts_that_are_alike_are_each_repeated():
     pool = Handed()
     problem, ahead, scored = of_a_stage(pool, proposal=ALL_DETECTED)
-    some = to_repeat(problem, scored)
-    assert len(np.unique(some.rollouts.detected, axis=0)) == 1
+    some = some_of(problem, scored)
+    assert len(np.unique(some.scored.rollouts.detected, axis=0)) == 1
     assert begun(ahead) == 2
-    assert repeated(problem, [some], ahead=ahead).count == some.rollouts.count
-    assert pool.rollouts == 240 + some.rollouts.count
+    assert repeated(problem, [some], ahead=ahead).count == some.scored.rollouts.count
+    assert pool.rollouts == 240 + some.scored.rollouts.count
 
 
 def test_nothing_is_repeated_early_where_no_worker_would_be_idle():
@@ -183,19 +189,22 @@ def test_nothing_is_repeated_early_where_no_worker_would_be_idle():
 @pytest.mark.parametrize("lost", ["end", "violation"])
 def test_what_is_lost_of_it_is_simulated_again(lost):
     problem, ahead, scored = of_a_stage(Handed(loses=2), lost=lost)
-    some = to_repeat(problem, scored)
+    some = some_of(problem, scored)
     told = []
     watched = replace(problem, progress=lambda done, total: told.append((done, total)))
-    assert repeated(watched, [some], ahead=ahead).count == some.rollouts.count
+    assert repeated(watched, [some], ahead=ahead).count == some.scored.rollouts.count
     assert told == [(done, 5) for done in (1, 2, 3, 5)]  # the two that were lost, side by side
 
 
 def test_what_differs_is_found_early_too():
     problem, ahead, scored = of_a_stage(Handed())
-    some = to_repeat(problem, scored)
-    signals = {"gap": some.rollouts.signals["gap"] + 1.0}
-    other = replace(some, rollouts=replace(some.rollouts, signals=signals))
-    assert repeated(problem, [other], ahead=ahead).differing == some.rollouts.count
+    some = some_of(problem, scored, stage=3)
+    signals = {"gap": some.scored.rollouts.signals["gap"] + 1.0}
+    rollouts = replace(some.scored.rollouts, signals=signals)
+    other = replace(some, scored=replace(some.scored, rollouts=rollouts))
+    found = repeated(problem, [other], ahead=ahead)
+    assert found.differing == some.number.size
+    assert found.example.endswith(f"at step 0 of rollout {some.number[0]} of stage 3")
 
 
 @pytest.mark.parametrize("method", sorted(set(METHODS.shipped) - {"zero-variance"}))

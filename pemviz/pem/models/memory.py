@@ -31,7 +31,7 @@ from pemviz.errors import PemError
 
 TAU_MEANS = "outcomes h seconds apart have the correlation exp(-h / tau)"
 """What a memory time tau is, in a constant state."""
-FRAILTY_MEANS = "how much obstacles differ in being missed beyond what the state explains"
+FRAILTY_MEANS = "how much objects differ in being missed beyond what the state explains"
 """What a frailty is; 0: not at all."""
 LONGEST_TAU_S = 60.0
 LARGEST_FRAILTY = 10.0

@@ -19,7 +19,7 @@ from pemviz.arrays import AnyArray
 from pemviz.errors import InputError
 from pemviz.proposals.offset_logistic import PolynomialBasis
 from pemviz.sampling.mixture.fit import Fit
-from pemviz.sampling.problem import Problem, not_watched, nothing_finished
+from pemviz.sampling.problem import Problem, not_counted, not_watched, nothing_finished
 from pemviz.sampling.rollouts.runners import CompiledRunner
 from pemviz.types import Estimate, Simulator
 
@@ -57,6 +57,7 @@ class Surrogate:
             run_batches=CompiledRunner(),
             batch_rollouts=max(problem.batch_rollouts, self.rollouts),
             progress=progress,
+            searched=not_counted,
             seen=not_watched,
             finished=nothing_finished,
             lost="end",

@@ -25,7 +25,14 @@ from pemviz.sampling.rollouts.runners import BatchTask
 from pemviz.sampling.rollouts.simulate import replay
 from pemviz.simulators.check import ROUNDING
 from pemviz.simulators.quantised import start_cells
-from pemviz.types import RolloutBatch, ScoredRollouts, Simulator, StateBatch
+from pemviz.types import (
+    RolloutBatch,
+    ScoredRollouts,
+    Simulator,
+    StageResult,
+    StateBatch,
+    numbers_of,
+)
 
 SHARE = 0.02
 """Of a stage's rollouts."""
@@ -64,14 +71,34 @@ class Repeats:
         )
 
 
-def to_repeat(problem: Problem, scored: ScoredRollouts) -> ScoredRollouts:
+@dataclass(frozen=True)
+class SomeOfStage:
+    """Rollouts of a stage.
+
+    Attributes:
+        stage: Zero-based.
+        number: Of each in its stage, ``[N]``.
+        scored: They.
+    """
+
+    stage: int
+    number: IntArray
+    scored: ScoredRollouts
+
+
+def to_repeat(problem: Problem, stage: StageResult) -> SomeOfStage:
     """A share of a stage's rollouts, which may be none.
 
     Half of them are the violations that weigh most, as they carry the answer; the others lie evenly
     over the stage. Those that cannot be simulated to their end are none of them.
     """
-    scored = scored.take(~lost_rows(scored.rollouts)) if problem.lost != "end" else scored
-    return scored.take(_chosen(scored))
+    scored = stage.scored
+    number = numbers_of(scored.rollouts.count, stage.sampled)
+    if problem.lost != "end":
+        whole = ~lost_rows(scored.rollouts)
+        number, scored = number[whole], scored.take(whole)
+    chosen = _chosen(scored)
+    return SomeOfStage(stage.stage, number[chosen], scored.take(chosen))
 
 
 @dataclass
@@ -143,7 +170,7 @@ class RepeatedAhead:
 
 def repeated(
     problem: Problem,
-    stages: Sequence[ScoredRollouts],
+    stages: Sequence[SomeOfStage],
     *,
     twin: Simulator | None = None,
     ahead: RepeatedAhead | None = None,
@@ -156,13 +183,13 @@ def repeated(
     Raises:
         SimulationError: What is simulated raises something, or takes too long.
     """
-    some = [stage for stage in stages if stage.rollouts.count]
+    some = [stage for stage in stages if stage.number.size]
     if not some:
         return Repeats()
-    once = RolloutBatch.concatenate([stage.rollouts for stage in some])
+    once = RolloutBatch.concatenate([stage.scored.rollouts for stage in some])
     again, found, done = _again(problem, once, ahead or RepeatedAhead(problem)), Repeats(), 0
     for stage in some:
-        own = again.take(slice(done, done + stage.rollouts.count))
+        own = again.take(slice(done, done + stage.number.size))
         found += _of_stage(problem, stage, own, twin)
         done += own.count
     return found
@@ -189,10 +216,10 @@ def _again(problem: Problem, once: RolloutBatch, ahead: RepeatedAhead) -> Rollou
 
 
 def _of_stage(
-    problem: Problem, some: ScoredRollouts, again: RolloutBatch, twin: Simulator | None
+    problem: Problem, some: SomeOfStage, again: RolloutBatch, twin: Simulator | None
 ) -> Repeats:
-    once = some.rollouts
-    found = _compared(problem, once, again)
+    once = some.scored.rollouts
+    found = _compared(problem, some, again)
     if twin is None or start_cells(twin) != start_cells(problem.simulator):
         return found
     signals = again.signals
@@ -200,7 +227,7 @@ def _of_stage(
         start = None if once.latents is None else once.latents.start
         signals = replay(simulator=twin, detected=once.detected, start=start)
     verdicts = score(problem.without_rules(), replace(once, signals=signals)).violated
-    differing = int(np.count_nonzero(verdicts != some.violated))
+    differing = int(np.count_nonzero(verdicts != some.scored.violated))
     return replace(found, on_twin=once.count, twin_differing=differing)
 
 
@@ -259,26 +286,30 @@ def _chosen(scored: ScoredRollouts) -> IntArray:
     return np.union1d(carrying, _evenly(scored.rollouts.count, most)[: most - carrying.size])
 
 
-def _compared(problem: Problem, once: RolloutBatch, again: RolloutBatch) -> Repeats:
+def _compared(problem: Problem, some: SomeOfStage, again: RolloutBatch) -> Repeats:
     """Signals are compared first: where they differ, logits have a reason to."""
+    once = some.scored.rollouts
     found, example = np.zeros(once.count, dtype=np.bool_), ""
     name = f"simulator {problem.simulator.name}"
     ranges = {signal.name: signal.high - signal.low for signal in problem.simulator.signals}
     for signal, values in once.signals.items():
         scale = np.maximum(np.abs(values), ranges[signal])
         same = np.abs(values - again.signals[signal]) <= ROUNDING * scale
-        example = example or _first(f"{name}: {signal}", same, values, again.signals[signal])
+        example = example or _first(f"{name}: {signal}", some, same, values, again.signals[signal])
         found |= ~same.all(axis=1)
     same = np.abs(once.pem_logit - again.pem_logit) <= LOGIT_ROUNDING
     same |= found[:, None]
     what = f"error model {problem.pem.name}: logit"
-    example = example or _first(what, same, once.pem_logit, again.pem_logit)
+    example = example or _first(what, some, same, once.pem_logit, again.pem_logit)
     found |= ~same.all(axis=1)
     return Repeats(once.count, int(found.sum()), example)
 
 
-def _first(what: str, same: BoolArray, values: FloatArray, others: FloatArray) -> str:
+def _first(
+    what: str, some: SomeOfStage, same: BoolArray, values: FloatArray, others: FloatArray
+) -> str:
     if same.all():
         return ""
     step, row = np.argwhere(~same.T)[0].tolist()
-    return f"{what} {values[row, step]:.6g} and {others[row, step]:.6g} at step {step}"
+    where = f"at step {step} of rollout {some.number[row]} of stage {some.stage}"
+    return f"{what} {values[row, step]:.6g} and {others[row, step]:.6g} {where}"

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pemviz.arrays import AnyArray, FloatArray
-from pemviz.faults import of_no_rollouts
 from pemviz.sampling.particles.runs import common_ancestry
 from pemviz.sampling.problem import Problem, score
 from pemviz.sampling.subset.moves import RandomNumbers, Tuning
@@ -105,8 +104,7 @@ def explore(
     left = most - found.simulated
     if found.last is None or left < RUNS * between.most_rollouts(rollouts):
         return Explored(simulated=found.simulated)
-    with of_no_rollouts():  # of the stage that comes after
-        runs = between.carry_out(problem, count=rollouts, generators=others)
+    runs = between.carry_out_beside(problem, count=rollouts, generators=others)
     ends = [(run.scored, run.log_probability, run.common_ancestry) for run in runs]
     scored = score(problem, found.last.rollouts)
     ancestry = common_ancestry(found.last.ancestor[scored.violated])

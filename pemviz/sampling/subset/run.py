@@ -169,15 +169,32 @@ class SubsetSimulation:
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
-        most = len(generators) * self.most_rollouts(count)
+        most, simulated = len(generators) * self.most_rollouts(count), 0
 
-        def report(simulated: int) -> None:
+        def report(some: int) -> None:
+            nonlocal simulated
+            simulated += some
             problem.progress(count * simulated // most, count)
 
-        going = [
+        return _in_step(problem, self._begun(problem, count, generators), report)
+
+    def carry_out_beside(
+        self, problem: Problem, *, count: int, generators: Sequence[np.random.Generator]
+    ) -> Sequence[ParticleRun]:
+        """The same beside a stage, whose rollouts these are not.
+
+        Raises:
+            SimulationError: As :meth:`carry_out`.
+        """
+        with of_no_rollouts():
+            return _in_step(problem, self._begun(problem, count, generators), problem.searched)
+
+    def _begun(
+        self, problem: Problem, count: int, generators: Sequence[np.random.Generator]
+    ) -> list[Going[ParticleRun]]:
+        return [
             _run(problem, self.levels, count=count, generator=generator) for generator in generators
         ]
-        return _in_step(problem, going, report)
 
 
 def finding(
@@ -190,24 +207,18 @@ def finding(
     Raises:
         SimulationError: Something raises, is no finite number, or a batch takes too long.
     """
-
-    def report(simulated: int) -> None:  # noqa: ARG001  how many it will be is not known
-        problem.progress(0, count)
-
     with of_no_rollouts():  # of a run's that counts
         going = _finding(problem, count=count, generator=generator, most=most)
-        (found,) = _in_step(problem, [going], report)
+        (found,) = _in_step(problem, [going], problem.searched)
     return found
 
 
 def _in_step(
     problem: Problem, going: Sequence[Going[Found]], report: Callable[[int], None]
 ) -> Sequence[Found]:
-    """What comes of each, simulated together; ``report`` gets how many rollouts were so far."""
-    simulated = 0
+    """What comes of each, simulated together; ``report`` gets how many rollouts each time."""
 
     def answer(wanted: Mapping[int, Wanted]) -> Sequence[Simulated]:
-        nonlocal simulated
         numbers = RandomNumbers.concatenate([each.numbers for each in wanted.values()])
         try:
             rollouts, scores = simulated_from(problem, numbers)
@@ -215,8 +226,7 @@ def _in_step(
             places = {i: (each.before, each.numbers.count) for i, each in wanted.items()}
             tell_run(error, places)
             raise
-        simulated += numbers.count
-        report(simulated)
+        report(numbers.count)
         ends = np.cumsum([each.numbers.count for each in wanted.values()])[:-1]
         rows = np.split(np.arange(numbers.count), ends)
         return [(rollouts.take(own), scores[own]) for own in rows]
@@ -259,6 +269,7 @@ def simulated_beside(problem: Problem, numbers: RandomNumbers) -> RolloutBatch:
     """
     with of_no_rollouts():
         rollouts, _ = simulated_from(problem, numbers)
+    problem.searched(numbers.count)
     return rollouts
 
 
