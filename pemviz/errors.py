@@ -29,7 +29,14 @@ class PemvizError(Exception):
 
 
 class InputError(PemvizError):
-    """Something the user gave is wrong; the command line exits with code 2."""
+    """Something the user gave is wrong; the command line exits with code 2.
+
+    Attributes:
+        traceback_text: Where the user's own code raised something, as Python prints it; empty
+            where it did not.
+    """
+
+    traceback_text: str = ""
 
 
 class ConfigError(InputError):

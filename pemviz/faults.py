@@ -14,9 +14,11 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import FrameType, TracebackType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from pemviz.errors import InputError, RunError, one_line
+
+Refusal = TypeVar("Refusal", bound=InputError)
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 MARK = "_pemviz_from_outside"
@@ -181,7 +183,7 @@ def refusing() -> Generator[None, None, None]:
     try:
         yield
     except SimulationError as error:
-        raise InputError(str(error)) from error.__cause__
+        raise refused(InputError(str(error)), error) from error.__cause__
     except BaseException as error:
         if isinstance(error, Exception) or from_outside(error) is not None:
             raise
@@ -189,7 +191,7 @@ def refusing() -> Generator[None, None, None]:
         message = (
             f"{last.name} ({last.filename}, line {last.lineno}) raises {exception_text(error)}"
         )
-        raise InputError(message) from error
+        raise refused(InputError(message), error) from error
 
 
 def exception_text(error: BaseException) -> str:
@@ -251,6 +253,19 @@ def traceback_of(error: BaseException) -> str:
         half = LONGEST_TRACEBACK // 2
         lines = [*lines[:half], f"  ... {len(lines) - 2 * half} lines ...", *lines[-half:]]
     return "\n".join(one_line(line) for line in lines)
+
+
+def refused(refusal: Refusal, raised: BaseException) -> Refusal:
+    """The refusal of what other people's code raised, with its traceback."""
+    if isinstance(raised, RunError):
+        refusal.traceback_text = raised.traceback_text
+    else:
+        ours = {*LIBRARIES, *sys.stdlib_module_names}
+        each = raised.__traceback__
+        while each is not None and _home(each) in ours:
+            each = each.tb_next
+        refusal.traceback_text = "" if each is None else traceback_of(raised)
+    return refusal
 
 
 def _from_theirs(frames: TracebackType | None) -> TracebackType | None:

@@ -135,6 +135,7 @@ def carry_out(name: str, run: Callable[[Sequence[str]], int], words: Sequence[st
     try:
         return run(words)
     except InputError as error:
+        _show(error.traceback_text)
         return _complain(str(error), code=EXIT_BAD_INPUT)
     except PemvizError as error:
         _show(getattr(error, "traceback_text", ""))

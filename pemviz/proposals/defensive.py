@@ -19,10 +19,11 @@ def defended(logit: FloatArray, pem_logit: FloatArray, *, share: float | FloatAr
     one for all or ``[...]``.
     """
     log_share, log_rest = np.log(share), np.log1p(-share)
-    detected = np.logaddexp(
-        log_rest - np.logaddexp(0.0, -logit), log_share - np.logaddexp(0.0, -pem_logit)
-    )
-    missed = np.logaddexp(
-        log_rest - np.logaddexp(0.0, logit), log_share - np.logaddexp(0.0, pem_logit)
-    )
+    with np.errstate(invalid="ignore"):  # what is no number is told of its rollout, later
+        detected = np.logaddexp(
+            log_rest - np.logaddexp(0.0, -logit), log_share - np.logaddexp(0.0, -pem_logit)
+        )
+        missed = np.logaddexp(
+            log_rest - np.logaddexp(0.0, logit), log_share - np.logaddexp(0.0, pem_logit)
+        )
     return detected - missed

@@ -12,7 +12,7 @@ from pemviz.analysis.model_uncertainty import model_classes_beside
 from pemviz.config import SHIPPED_SIMULATORS, ExperimentConfig
 from pemviz.config.toml_files import with_own_rules
 from pemviz.errors import ConfigError
-from pemviz.faults import exception_text, refusing, signals_distinguished
+from pemviz.faults import exception_text, refused, refusing, signals_distinguished
 from pemviz.pem import DetectorModel, Pem, PemEnsemble, as_pem, ensemble_of, load_pem
 from pemviz.pem.models.cards import memory_of, varying_frailty_of
 from pemviz.pem.models.memory import Memory
@@ -336,7 +336,7 @@ def _error_model_warnings(pem: Pem, simulator: Simulator) -> tuple[str, ...]:
     try:
         logit = np.asarray(pem.logit(salient))
     except BaseException as error:  # the user's code may raise anything
-        raise ConfigError(f"{where}: {exception_text(error)}") from error
+        raise refused(ConfigError(f"{where}: {exception_text(error)}"), error) from error
     if logit.shape != salient.shape[:-1] or logit.dtype.kind != "f":
         raise ConfigError(
             f"{where}: logit of salient variables {list(salient.shape)} has shape "

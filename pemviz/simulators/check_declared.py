@@ -8,7 +8,7 @@ import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray
 from pemviz.errors import ConfigError
-from pemviz.faults import SimulationError, exception_text
+from pemviz.faults import SimulationError, exception_text, refused
 from pemviz.latents import LatentCounts
 from pemviz.simulators.latents import NamesStarts, latent_counts
 from pemviz.simulators.scene import DrawsScene, DrawsTracks, Ramp, Road, SceneCar, SceneStates
@@ -51,8 +51,8 @@ class Complaint:
         Raises:
             ConfigError: Always.
         """
-        message = f"{self.where}: {words}"
-        raise ConfigError(message) from cause
+        refusal = ConfigError(f"{self.where}: {words}")
+        raise refusal if cause is None else refused(refusal, cause) from cause
 
     def call(
         self, what: str, function: Callable[..., Value], *given: Any, about: str = ""

@@ -104,7 +104,12 @@ def test_a_run_that_was_started_is_told_of_and_shown(page, panel):
     page.locator(".runs").wait_for()
     panel.gate.shut()
     assert panel.controller.start(panel.controller.state.run.config)
-    expect(page.get_by_role("button", name="Stop")).to_be_visible()
+    stop = page.get_by_role("button", name="Stop")
     expect(page.locator(".runs")).to_contain_text("running")
+    for width in (1280, 390):  # on a phone what is told has a line of its own
+        page.set_viewport_size({"width": width, "height": 800})
+        expect(stop).to_be_in_viewport(ratio=1.0)
+        told = page.get_by_role("status")
+        assert told.evaluate("at => at.scrollWidth <= at.clientWidth")
     panel.gate.open()
     expect(page.get_by_role("button", name="Stop")).to_be_hidden(timeout=WAIT_MS)

@@ -52,6 +52,8 @@ class Faulty(VectorizedSimulator):
         return "faulty"
 
     def step(self, states, detected):
+        if FAULT.read_text() == "early":
+            raise ValueError("wheel fell off")
         if states.shape[0] > 10 and int(states.step) == 30:
             do(FAULT.read_text())
         return super().step(states, detected)
@@ -150,6 +152,18 @@ def test_whatever_a_simulator_raises_is_a_failed_run(name, workers, fault, tmp_p
     assert went_on == undisturbed
     for file in ("rollouts.npz", "proposals.safetensors"):
         assert (folder / file).read_bytes() == (whole / file).read_bytes()
+
+
+def test_what_is_raised_in_the_trial_before_a_run_comes_with_its_lines(fault, tmp_path, capsys):
+    fault.write_text("early")
+    assert record(tmp_path, *WORDS, "--out", str(tmp_path / "runs")) == 2
+    first, at, line, *_, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("Traceback")
+    assert "third_party_faults.py" in at
+    assert line.strip() == 'raise ValueError("wheel fell off")'
+    assert last.startswith("pemviz: simulator 'faulty': step")
+    assert last.endswith("raises ValueError: wheel fell off")
+    assert not (tmp_path / "runs").exists()
 
 
 def test_an_exit_while_the_simulator_is_built_is_bad_input(fault, tmp_path, capsys):

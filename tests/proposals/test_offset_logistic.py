@@ -217,3 +217,10 @@ def test_no_model_is_too_sure(model, missed, raised):
     towards = raised if missed else -raised
     expected = 0.0 if likely else np.log(share + (1.0 - share) * np.exp(towards))
     np.testing.assert_allclose(log_ratio(np.array([raised])), expected, atol=1e-15)
+
+
+def test_a_logit_that_is_no_number_stays_one_without_a_warning():
+    logit = np.array([np.nan, 0.0, 2.0])
+    for of_proposal, of_model in ((logit, np.zeros(3)), (np.zeros(3), logit)):
+        found = defended(of_proposal, of_model, share=0.1)
+        assert np.isnan(found).tolist() == [True, False, False]
