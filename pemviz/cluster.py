@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import re
-from concurrent.futures import Executor
+from concurrent.futures import CancelledError, Executor
 from importlib.util import find_spec
 from types import TracebackType
 from typing import Any, Self
@@ -81,7 +81,7 @@ class Cluster:
     @property
     def count(self) -> int:
         """How many workers there are now; 1 if that cannot be told."""
-        with contextlib.suppress(OSError, TimeoutError):
+        with contextlib.suppress(Exception):  # the scheduler may be gone
             return max(1, len(self.client.nthreads()))
         return 1
 
@@ -93,6 +93,11 @@ class Cluster:
 def worker_was_killed(error: BaseException) -> bool:
     """Whether a call ended so many of a cluster's workers that its scheduler gave up."""
     return type(error).__name__ == "KilledWorker"
+
+
+def scheduler_is_gone(error: BaseException) -> bool:
+    """Whether a call was given up as there is no connection to its cluster's scheduler."""
+    return isinstance(error, CancelledError) or type(error).__name__ == "ClosedClientError"
 
 
 def worker_version() -> str:

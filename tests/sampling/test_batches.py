@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pemviz.config import ExperimentConfig, ScenarioConfig
+from pemviz.errors import RunError
 from pemviz.faults import SimulationError
 from pemviz.pem import as_pem, load_pem
 from pemviz.processes import ProcessPool
@@ -92,6 +93,30 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
     with pytest.raises(KeyboardInterrupt):
         sampled(problem)
     assert [future.cancelled() for future in handed_in] == [False] * 4 + [True] * 2
+
+
+class ClosedClientError(Exception):
+    """As Dask's client raises once it has given up."""
+
+
+@pytest.mark.parametrize("goes_after", [0, 1, 5])
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_scheduler_that_goes_is_told_as_that(toy_problem, raises, goes_after):
+    handed_in = []
+
+    def submit(function, *arguments):
+        handed_in.append(Future())
+        if len(handed_in) <= goes_after:
+            handed_in[-1].set_result(function(*arguments))
+        elif raises:
+            raise ClosedClientError("Client is closed")
+        else:
+            handed_in[-1].cancel()
+        return handed_in[-1]
+
+    problem = replace(toy_problem, batch_rollouts=10, run_batches=PooledRunner(submit, 2))
+    with pytest.raises(RunError, match=r"^the cluster's scheduler is gone, or cannot be reached"):
+        sampled(problem)
 
 
 def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):

@@ -13,7 +13,8 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from pemviz.cluster import worker_was_killed
+from pemviz.cluster import scheduler_is_gone, worker_was_killed
+from pemviz.errors import RunError
 from pemviz.faults import SimulationError, counted_from
 from pemviz.heartbeat import POLL_S, SILENT_S
 from pemviz.pem.models.protocol import Pem
@@ -34,6 +35,7 @@ REMEMBERED = 32
 """Pieces whose times tell what the next will take."""
 PIECE_S = 0.5
 """What a piece takes, if a rollout takes less: long beside handing it in, short beside a stage."""
+SCHEDULER_GONE = "the cluster's scheduler is gone, or cannot be reached any more"
 
 START_S = 120.0
 """Within which a worker process is there."""
@@ -122,6 +124,7 @@ class PooledRunner:
         Raises:
             SimulationError: Something raised in a worker, or a rollout ends or stalls whichever is
                 at it.
+            RunError: The cluster's scheduler is gone.
         """
         ahead: deque[Sequence[_Piece]] = deque()
         if self.recount is not None:
@@ -135,6 +138,10 @@ class PooledRunner:
             while ahead:
                 yield _joined(ahead)
                 ahead.popleft()
+        except Exception as error:
+            if self.renew is None and scheduler_is_gone(error):
+                raise RunError(SCHEDULER_GONE) from error
+            raise
         finally:
             for piece in itertools.chain.from_iterable(ahead):
                 piece.future.cancel()
