@@ -44,8 +44,8 @@ LOG = logging.getLogger(__name__)
 Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
-LARGE_BATCH_ROLLOUTS, SHARE_OF_LARGE = 1_000, 0.01
-"""Who simulates so many at a time does so few of them in next to no time."""
+LARGE_BATCH_ROLLOUTS, SIDE_BY_SIDE = 512, 40
+"""Who simulates so many at a time, in numpy or in SUMO, does so few of them as fast as a handful."""
 OF_LOST = 1e-6
 """Robustness of a lost rollout is at least so far from 0, on the side that it counts on."""
 
@@ -284,10 +284,9 @@ def in_time(problem: Problem, simulate: Callable[[], Result]) -> Result:
 
 def side_by_side(problem: Problem) -> int:
     """Rollouts that take next to no longer than one: a few in numpy, or as many as workers."""
-    if isinstance(problem.run_batches, PooledRunner):
-        return problem.run_batches.workers
-    size = problem.batch_rollouts
-    return round(SHARE_OF_LARGE * size) if size >= LARGE_BATCH_ROLLOUTS else 1
+    size, runner = problem.batch_rollouts, problem.run_batches
+    here = SIDE_BY_SIDE if size >= LARGE_BATCH_ROLLOUTS else 1
+    return max(here, runner.workers) if isinstance(runner, PooledRunner) else here
 
 
 def score(problem: Problem, rollouts: RolloutBatch) -> ScoredRollouts:

@@ -33,6 +33,9 @@ MOST_LOST = 3
 """Workers that were at a rollout."""
 REMEMBERED = 32
 """Pieces whose times tell what the next will take."""
+FEW, MANY = 5, 64
+"""Rollouts of a first piece, where a simulator is given so many at once: it may step them side by
+side, so that they take hardly longer than one."""
 PIECE_S = 0.5
 """What a piece takes, if a rollout takes less: long beside handing it in, short beside a stage."""
 SCHEDULER_GONE = "the cluster's scheduler is gone, or cannot be reached any more"
@@ -111,8 +114,11 @@ class PooledRunner:
     lost: int = field(default=0, init=False)
     retired: int = field(default=0, init=False)
     _is_new: bool = field(default=True, init=False)
-    _took_s: deque[float] = field(
+    _alone_s: deque[float] = field(
         default_factory=lambda: deque[float](maxlen=REMEMBERED), init=False
+    )
+    _took: deque[tuple[int, float]] = field(
+        default_factory=lambda: deque[tuple[int, float]](maxlen=REMEMBERED), init=False
     )
     _held: dict[int, _Held] = field(default_factory=dict[int, _Held], init=False)
 
@@ -156,28 +162,52 @@ class PooledRunner:
     def _pieces(self, simulator: Simulator, pem: Pem, task: BatchTask) -> "Sequence[_Piece]":
         """A batch that is handed in; of the first of all, one rollout a worker before the rest.
 
-        These tell how long a rollout takes, and so how many make a piece.
+        These tell how long a rollout takes, and so how many make a piece; of a large batch a few
+        rollouts a worker come next, which tell what each takes beside others.
         """
         pieces: list[_Piece] = []
-        if not self._took_s and len(task.uniforms) > self.workers:
-            alone, task = task.take(slice(self.workers)), task.take(slice(self.workers, None))
-            pieces = [_Piece(self, simulator, pem, one) for one in alone.split(self.workers)]
-            self._wait_for_half([piece.future for piece in pieces])
+        for each in (1, FEW) if len(task.uniforms) > MANY else (1,):
+            count = each * self.workers
+            known = self._took if each > 1 else self._took or self._alone_s
+            if known or len(task.uniforms) <= count:
+                continue
+            first, task = task.take(slice(count)), task.take(slice(count, None))
+            pieces += [_Piece(self, simulator, pem, one) for one in first.split(self.workers)]
+            self._wait_for_half(pieces[-self.workers :])
         pieces_s = self._rollout_s * len(task.uniforms)
         parts = task.split(max(self.workers, round(pieces_s / PIECE_S)))
         return [*pieces, *(_Piece(self, simulator, pem, one) for one in parts)]
 
     @property
     def _rollout_s(self) -> float:
-        """What a rollout takes: the median of late pieces, as first ones begin with imports."""
-        return statistics.median(self._took_s) if self._took_s else 0.0
+        """What one rollout more takes: medians of late pieces, as first ones begin with imports.
 
-    def _wait_for_half(self, futures: Sequence[Future[Simulated]]) -> None:
-        """For half of single rollouts, which may differ; the others go on."""
-        enough = (len(futures) + 1) // 2
+        Where a piece of many takes hardly longer than one rollout alone, it is little.
+        """
+        each_s = [*self._alone_s, *(took_s / count for count, took_s in self._took)]
+        if not each_s:
+            return 0.0
+        found = statistics.median(each_s)
+        if self._alone_s and self._took:
+            count, took_s = map(statistics.median, zip(*self._took, strict=True))
+            more_s = max(took_s - statistics.median(self._alone_s), 0.0)
+            found = min(found, more_s / (count - 1))
+        return found
+
+    def _wait_for_half(self, pieces: "Sequence[_Piece]") -> None:
+        """For half of first pieces, which may differ; the others go on."""
+        futures, enough = [piece.future for piece in pieces], (len(pieces) + 1) // 2
         self._wait(lambda: sum(future.done() for future in futures) >= enough, futures)
-        done = [future for future in futures if future.done()]
-        self._took_s += [each.result().took_s for each in done if each.exception() is None]
+        for future in futures:
+            if future.done() and future.exception() is None:
+                self._remember(future.result())
+
+    def _remember(self, simulated: Simulated) -> None:
+        count, took_s = simulated.rollouts.count, simulated.took_s
+        if count == 1:
+            self._alone_s.append(took_s)
+        else:
+            self._took.append((count, took_s))
 
     def _wait(self, is_over: Callable[[], bool], futures: Sequence[Future[Simulated]]) -> None:
         """Until something is over, but no longer than a piece may take."""
@@ -248,7 +278,7 @@ class PooledRunner:
                 raise
             self.lost += 1  # the cluster has others
             raise LostError("killed, or the machine is out of memory") from error
-        self._took_s.append(simulated.took_s / simulated.rollouts.count)
+        self._remember(simulated)
         own = self._held.setdefault(simulated.process, _Held(simulated.resident_bytes))
         own.pieces, own.now_bytes = own.pieces + 1, simulated.resident_bytes
         return self._kept(simulated.rollouts)
