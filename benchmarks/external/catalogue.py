@@ -12,6 +12,7 @@ from benchmarks.external.sequential import (
     LargestError,
     Pendulum,
     SensedPendulum,
+    StartedCartPole,
     SumOfErrors,
     WalkBesidePattern,
 )
@@ -118,6 +119,10 @@ WALKS = (
     ("0.005", 8, 1.3656077031629127e-05),
 )
 """How much of the probability the walk shows, where it starts, and the probability."""
+STARTED_CARTS = (
+    (1.7, 0.005952, 0.0037, "12,000,000 plain rollouts"),
+    (3.0, 2.043e-5, 0.015, "228,000,000 plain rollouts"),
+)
 CARTS = (
     (2.5, 0.7967425, 0.0008, "400,000 plain rollouts"),
     (4.0, 0.0165535, 0.00545, "2,000,000 plain rollouts"),
@@ -187,6 +192,17 @@ SEQUENTIAL: Sequence[Problem] = (
             how=how,
         )
         for base, truth, error, how in CARTS
+    ),
+    *(
+        Problem(
+            name=f"CartPole, started anywhere, base {base:g}",
+            source=CARTPOLE,
+            motion=StartedCartPole(base=base),
+            truth=truth,
+            relative_error=error,
+            how=how,
+        )
+        for base, truth, error, how in STARTED_CARTS
     ),
     Problem(
         name="InvertedPendulum-v5",

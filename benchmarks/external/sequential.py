@@ -219,6 +219,55 @@ class HeldCartPole(HeldState):
         return np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
 
 
+@dataclass(frozen=True, kw_only=True)
+class StartedCartPole(HeldState):
+    """The same cart from a start of its own in each rollout, of whose state little is shown.
+
+    As a user wrote it: the detector sees the lean, and the proposals where the cart is, how the
+    pole leans, and how fast it turns. What is held, and how fast the cart is, nobody sees.
+    """
+
+    slope: float = 8.0
+    steps: int = 100
+    starts: int = 4
+    limit: float = 0.209
+    ranges = CART_RANGES
+    first = (0.0, 0.0, 0.0, 0.0)
+    gains = (0.2, 0.6, 6.0, 1.2)
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """Three of its state's four numbers."""
+        return {name: CART_RANGES[name] for name in ("x", "th", "thd")}
+
+    @property
+    def spec(self) -> str:
+        """The lean is within its limits."""
+        return f"always[0,{self.steps}] (th <= {self.limit!r} and th >= {-self.limit!r})"
+
+    def begin(self, start: Numbers) -> Values:
+        """All four uniform within 0.05; that state is held."""
+        each = 0.1 * ndtr(start) - 0.05
+        state = dict(zip(self.ranges, each.T, strict=True))
+        return self._with_errors(state, {f"held_{name}": value for name, value in state.items()})
+
+    def later(self, values: Values, wanted: Numbers) -> Values:
+        """By Euler's method, pushed with 10 N either way."""
+        return pushed(values, np.where(wanted > 0.0, 10.0, -10.0))
+
+    def room(self, state: Values) -> Numbers:
+        """To the ends of the rail, and to the lean that ends an episode."""
+        return np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
+
+    def logit(self, values: Values) -> Numbers:
+        """The more the pole leans, the less is detected."""
+        return self.base - self.slope * np.abs(values["th"])
+
+    def margin(self, values: Values) -> Numbers:
+        """What is left to the limit."""
+        return self.limit - np.abs(values["th"])
+
+
 def pushed(values: Values, force: Numbers) -> Values:
     """A cart of 1 kg with a pole of 0.1 kg and 2 x 0.5 m, 0.02 s on (Barto et al. 1983)."""
     angle, rate = values["th"], values["thd"]

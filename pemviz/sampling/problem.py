@@ -45,7 +45,7 @@ Signals = Mapping[str, FloatArray]
 Result = TypeVar("Result")
 BATCH_ROLLOUTS = 4096
 LARGE_BATCH_ROLLOUTS, SIDE_BY_SIDE = 512, 40
-"""Who simulates so many at a time, in numpy or in SUMO, does so few of them as fast as a handful."""
+"""Who simulates so many at a time, in numpy or in SUMO, does so few of them as fast as one."""
 OF_LOST = 1e-6
 """Robustness of a lost rollout is at least so far from 0, on the side that it counts on."""
 

@@ -245,7 +245,7 @@ def test_workers_that_come_later_get_work_too(toy_problem):
         return at_once(function, simulator, pem, task)
 
     runner = PooledRunner(elsewhere, 1, recount=lambda: next(there))
-    problem = replace(toy_problem, run_batches=runner)
+    problem = replace(toy_problem, batch_rollouts=50, run_batches=runner)
     expected = sampled(toy_problem, count=40)
     assert_same_scores(sampled(problem, count=40), expected)
     alone = len(handed_in)

@@ -138,12 +138,13 @@ def test_batches_workers_and_observers_do_not_show(batch):
     simulator, pem = ToySimulator(initial_gap=4, states=12), ToyPem()
     method = subset_runs(stages=4, rollouts=30, seed=2)
     expected, _ = stepped_through(method, toy_problem_of(simulator, pem))
-    heard = []
+    heard, searched = [], []
     problem = toy_problem_of(
         simulator,
         pem,
         batch_rollouts=batch,
         run_batches=PooledRunner(at_once, 3),
+        searched=searched.append,
         progress=lambda done, total: heard.append(done / total),
     )
     found, _ = stepped_through(method, problem)
@@ -151,7 +152,9 @@ def test_batches_workers_and_observers_do_not_show(batch):
     for one, other in zip(found.runs, expected.runs, strict=True):
         assert one.log_probability == other.log_probability
         assert np.array_equal(one.scored.rollouts.detected, other.scored.rollouts.detected)
-    assert heard[0] == 0.0
+    assert searched[0] == 30  # of the run that finds the levels
+    assert len(searched) > 5
+    assert 0.0 < heard[0] < 1.0
     assert heard[-1] == 1.0
     assert len(set(heard)) > 5
 

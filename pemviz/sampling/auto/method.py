@@ -43,6 +43,7 @@ from pemviz.sampling.estimates.diagnostics import not_searched, plain_disagreeme
 from pemviz.sampling.estimates.estimators import CONFIDENCE, monte_carlo_estimate
 from pemviz.sampling.method import Foreseen, SurrogateLearning, final_stage, finished_or
 from pemviz.sampling.mixture import resampled, stages
+from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.sampling.mixture.method import MixtureSampling
 from pemviz.sampling.mixture.plain import PlainRollouts
 from pemviz.sampling.mixture.rejuvenated import SHARE
@@ -67,6 +68,8 @@ FAR_FACTOR = 3.0
 """Times the wanted half-width, beyond which more rollouts are to learn from, not only to count."""
 MARGIN = 1.1
 """By which the last stage aims below the wanted half-width, as what it brings varies."""
+IN_INTERVAL = float(ndtri(0.5 + CONFIDENCE / 2.0))
+"""Standard errors in an interval's half-width."""
 CHECKED_SHARE = 0.2
 """Of the rollouts that chains took, sampled at least in the last stage: they cost little beside."""
 PLAIN_CONFIDENCE = 0.999
@@ -360,8 +363,7 @@ class AutoSampling:
             return replace(state, sizes=(), first_counted=0)
         wanted, share = math.inf, failures / count
         if failures >= FEW_FAILURES:
-            errors = float(ndtri(0.5 + CONFIDENCE / 2.0))
-            wanted = math.ceil((errors / self.limits.precision) ** 2 * (1.0 - share) / share)
+            wanted = math.ceil((IN_INTERVAL / self.limits.precision) ** 2 * (1.0 - share) / share)
         within = self._within(state)
         if wanted > min(self.most_plain, within):
             counts = share >= FREQUENT and self.limits.most_in_all < wanted + state.simulated
@@ -437,14 +439,21 @@ class AutoSampling:
         if not math.isfinite(half):
             last = left if math.isfinite(self.limits.most_in_all) else least
             return replace(method, final_rollouts=max(last, least))
-        wanted = self._wanted(drawn, half)
+        wanted = self._wanted(drawn, half, correction_error=_correction_error(inner.pool))
         if inner.explored is not None:
             wanted = max(wanted, CHECKED_SHARE * inner.explored.simulated)
         return replace(method, final_rollouts=max(int(min(wanted, left)), least))
 
-    def _wanted(self, drawn: int, half: float) -> float:
-        """Rollouts beside those that were drawn, which give the half-width ``half``."""
-        return drawn * ((MARGIN * half / self.limits.precision) ** 2 - 1.0)
+    def _wanted(self, drawn: int, half: float, *, correction_error: float = 0.0) -> float:
+        """Rollouts beside those that were drawn, which give the half-width ``half``.
+
+        The square of sampling's half-width falls as one over their number, that of the correction's
+        as one over its square: nothing is fitted to those that come, and it is of the others alone.
+        """
+        aim = (self.limits.precision / MARGIN) ** 2
+        beside = (IN_INTERVAL * correction_error) ** 2
+        share = 2.0 * aim / (half**2 + math.sqrt(half**4 + 4.0 * beside * aim))
+        return drawn * (1.0 / share - 1.0)
 
     def _reconsidered(
         self,
@@ -606,6 +615,14 @@ def _searching_less(method: MixtureSampling, within: int) -> MixtureSampling:
     by_chains = min(within // 2, left) if chains else 0
     moves = min(int(SHARE * within), left - by_chains)
     return replace(method, chains=chains, most_by_chains=by_chains, most_moves=moves)
+
+
+def _correction_error(pool: Pool | None) -> float:
+    """The largest of any answer, see :attr:`Pool.correction_error`."""
+    if pool is None:
+        return 0.0
+    under = [pool.under_rule(rule) for rule in pool.broken]
+    return max(each.correction_error for each in (pool, *under))
 
 
 def _precise_answers(

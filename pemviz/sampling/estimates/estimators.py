@@ -145,6 +145,7 @@ def mixture_estimate(
     frozen_log_weight: FloatArray,
     frozen: slice,
     adaptation: float = ADAPTATION,
+    correction_error: float = 0.0,
     replicate: IntArray | None = None,
 ) -> Estimate:
     """The average weight of violations over rollouts from several proposals.
@@ -160,13 +161,21 @@ def mixture_estimate(
             fixed before it was sampled, so its average is unbiased.
         frozen: Which rollouts those are.
         adaptation: Factor on the standard error.
+        correction_error: How far off it may be beside, as a share of it: the standard error is the
+            root of the sum of both squares.
         replicate: Which rollouts of a proposal are drawn together, ``[N]``, see
             :meth:`StratifiedError.of`; ``None``: none are.
     """
     row = np.flatnonzero(violated)
     rollouts = WeighedRollouts(violated.size, row, log_weight[row], log_p[row])
     found = StratifiedError.of(log_weight, violated, component, replicate)
-    error = replace(found, log_error=found.log_error + math.log(adaptation))
+    log_error = found.log_error + math.log(adaptation)
+    if correction_error > 0.0:
+        beside = log_mean_weight(rollouts.log_weight, of=rollouts.count) + math.log(
+            correction_error
+        )
+        log_error = 0.5 * float(np.logaddexp(2.0 * log_error, 2.0 * beside))
+    error = replace(found, log_error=log_error)
     fails = violated[frozen]
     unbiased = log_mean_failing_weight(frozen_log_weight, fails)
     unbiased_error = StratifiedError.of(

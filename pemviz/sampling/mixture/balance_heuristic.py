@@ -10,6 +10,7 @@ Of a large final batch only its violations' weights are kept, as all its proposa
 """
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ import numpy as np
 from pemviz.arrays import AnyArray, Batch, BoolArray, FloatArray, IntArray, log_sum_exp
 from pemviz.proposals.latent_moves import LatentDecisions, LatentMeans
 from pemviz.proposals.offset_logistic import Monomials, outcome_ratios, shift, some_at_once
+from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.mixture.failure_modes import shares_of_rollouts
 from pemviz.types import violated_rule
 
@@ -29,6 +31,8 @@ which is the first proposal of every pool; the fitted ones count from 2."""
 ROWS_AT_ONCE = 1 << 14
 """Of ratios, whose exponentials take several times their own memory."""
 MORE_THAN_HALF = 0.5
+IN_NO_WEIGHT = 700.0
+"""Nats by which a proposal is told to flatter a rollout, whose weight it is to have no part in."""
 Rule = str | None
 """A rule's name; ``None``: all rules together, or the specification where there is none."""
 
@@ -263,6 +267,8 @@ class Pool:
         rule_robustness: ``[M]`` of each rule by name, where there are rules.
         broken: ``[M]`` likewise.
         rule_log_ratio: ``log_ratio`` under each, where there are several.
+        lowered: By how much ``log_ratio`` is lowered, under every rule alike, of the rollouts that
+            a proposal was fitted to, ``[M, 1 + K]``; ``None``: of none.
         conjuncts: Verdicts of the conjuncts of each rule that has some, of the rollouts that
             proposals are fitted to.
         share: Of the rollouts, for proposals that are to violate what is at hand, beside others.
@@ -287,6 +293,7 @@ class Pool:
     rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
     rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    lowered: FloatArray | None = None
     conjuncts: Verdicts = field(default_factory=dict[Rule, tuple[Verdict, ...]])
     share: float = 1.0
     latents: LatentDecisions | None = None
@@ -391,6 +398,26 @@ class Pool:
             [(part.rollout, part.log_weight) for part in self.failing],
         )
         return found if self.log_stands_for is None else found + self.log_stands_for
+
+    @property
+    def correction_error(self) -> float:
+        """How far off an average may be as fits were corrected for their own rollouts [nats].
+
+        The correction is the infinitesimal jackknife's, of first order in what a rollout pulls.
+        What it leaves out is of second order, the average of its squares; where few rollouts decide
+        a fit, that is more than all of it, and it is as uncertain as it is large.
+        """
+        if self.lowered is None or not self.violated.any():
+            return 0.0
+        row = np.flatnonzero(self.violated[: len(self.log_ratio)])
+        lowered = self.lowered[row].astype(np.float64)
+        lowered[lowered >= IN_NO_WEIGHT] = 0.0
+        before = balance_weights(self.log_ratio[row] + lowered, self.component)
+        own = self.log_weight[row]
+        share = np.exp(own - log_sum(self.log_weight[self.violated]))
+        pulled = own - before
+        first = -math.log1p(float(share @ np.expm1(-pulled)))
+        return min(first, float(share @ pulled**2))
 
     @property
     def judged(self) -> Judged:

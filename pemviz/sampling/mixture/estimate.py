@@ -40,8 +40,8 @@ OF_COMPONENT, FINAL_OF_COMPONENT = "of_component", "final_of_component"
 """How many rollouts in all, or of the final batch, are sampled from what a rollout is."""
 REPLICATE = "replicate"
 """Which rollouts of a proposal have starts that are drawn together; where starts are moved."""
-ERROR_FACTOR = "error_factor"
-"""The factor on the standard error, of all alike."""
+ERROR_FACTOR, CORRECTION_ERROR = "error_factor", "correction_error"
+"""The factor on the standard error, and what else it is made of, of all alike."""
 NOT_KEPT = -1
 """In place of components that no violation was sampled from: they add nothing to an error."""
 FEW_STARTS = 3
@@ -97,6 +97,7 @@ def columns_of(pool: Pool, *, final: slice, factor: float) -> dict[str, AnyArray
     columns[FINAL_OF_COMPONENT] = counts[component]
     for rule in (None, *pool.rules):
         under, ending = (pool, "") if rule is None else (pool.under_rule(rule), f".{rule}")
+        columns[f"{CORRECTION_ERROR}{ending}"] = np.full(component.size, under.correction_error)
         columns[f"{LOG_WEIGHT}{ending}"] = under.judged.log_weight
         among = np.full(pool.sampled, np.nan)
         among[final] = under.weights_among(final)
@@ -123,11 +124,17 @@ def recounted(kept: KeptRepetition) -> Recounted:
             every, method=kept.method, rollouts_simulated=simulated
         )
         return Recounted(plain, COUNTS)
-    return Recounted(_from_columns(kept, found, kept.column(REPLICATE)))
+    corrected = kept.column(CORRECTION_ERROR)  # none in files from before
+    correction_error = 0.0 if corrected is None else float(corrected.max(initial=0.0))
+    estimate = _from_columns(kept, found, kept.column(REPLICATE), correction_error)
+    return Recounted(estimate)
 
 
 def _from_columns(
-    kept: KeptRepetition, columns: Mapping[str, AnyArray], replicate: AnyArray | None
+    kept: KeptRepetition,
+    columns: Mapping[str, AnyArray],
+    replicate: AnyArray | None,
+    correction_error: float,
 ) -> Estimate:
     """The estimate over as many rollouts as were sampled, of which those that hold only count."""
     final, count, last = kept.in_final, kept.rollouts(), kept.rollouts("final")
@@ -155,6 +162,7 @@ def _from_columns(
         frozen=slice(count - last, None),
         # without a violation there is no error
         adaptation=float(columns[ERROR_FACTOR].max(initial=ADAPTATION)),
+        correction_error=correction_error,
     )
 
 

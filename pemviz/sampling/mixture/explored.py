@@ -39,7 +39,13 @@ from pemviz.sampling.estimates.diagnostics import (
 from pemviz.sampling.estimates.importance_weights import log_sum
 from pemviz.sampling.estimates.weight_diagnostics import effective_sample_size
 from pemviz.sampling.method import VIOLATION_THRESHOLD
-from pemviz.sampling.mixture.balance_heuristic import FittedMoves, Pool, Rule, log_shares
+from pemviz.sampling.mixture.balance_heuristic import (
+    IN_NO_WEIGHT,
+    FittedMoves,
+    Pool,
+    Rule,
+    log_shares,
+)
 from pemviz.sampling.mixture.fit import (
     Elites,
     Fit,
@@ -67,8 +73,6 @@ NEAR = 1.0
 ENOUGH = 100.0
 """Rollouts of a failure mode, if all of the estimate were of it, that make its share known. With 10
 two of 16 estimates of four branches alike were a fifth low, for want of one of them."""
-IN_NO_WEIGHT = 700.0
-"""Nats by which a proposal is told to flatter a rollout, whose weight it is to have no part in."""
 LARGEST_SCARCE, FEW_OF_A_MODE = 0.5, 10.0
 """Share of a mode whose rollouts may be too few beside others', and rollouts that tell no share."""
 MOST_MODES, MOST_UNSEEN = 5, 0.5

@@ -376,10 +376,13 @@ class MixtureSampling:
         if state.pool is None or not self.is_done(state):
             message = "the final rollouts have not been sampled yet"
             raise ValueError(message)
-        return self._estimate(state, state.pool, final=state.final)
+        off = state.pool.correction_error
+        return self._estimate(state, state.pool, final=state.final, correction_error=off)
 
     def preview(self, state: MixtureState) -> Estimate:
         """What the rollouts of the stages so far say, of which the newest is held to the others.
+
+        Its error is that of sampling alone.
 
         Raises:
             ValueError: There are none.
@@ -390,7 +393,9 @@ class MixtureSampling:
         newest = slice(max(state.pool.sampled - self.rollouts, 0), None)
         return self._estimate(state, state.pool, final=newest)
 
-    def _estimate(self, state: MixtureState, pool: Pool, *, final: slice) -> Estimate:
+    def _estimate(
+        self, state: MixtureState, pool: Pool, *, final: slice, correction_error: float = 0.0
+    ) -> Estimate:
         judged = pool.judged
         found = mixture_estimate(
             method=self.name,
@@ -401,6 +406,7 @@ class MixtureSampling:
             frozen_log_weight=pool.weights_among(final),
             frozen=final,
             adaptation=_adaptation(state),
+            correction_error=correction_error,
             replicate=replicates(judged.component) if state.starts else None,
         )
         wrong = () if state.absorbing else (not_absorbing(),)

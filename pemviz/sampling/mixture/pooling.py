@@ -132,7 +132,9 @@ def extended(
             np.hstack([known, each - flattered]) for known, each in zip(before, added, strict=True)
         ]
         by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
-        pool = replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule)
+        lowered = np.zeros(pool.log_ratio.shape) if pool.lowered is None else pool.lowered
+        lowered = np.hstack([lowered, flattered]).astype(np.float32)
+        pool = replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule, lowered=lowered)
     return _joined(pool, fresh, last=last)
 
 
@@ -354,6 +356,9 @@ def _joined(pool: Pool, fresh: Pool, *, last: bool) -> Pool:
         rule_robustness=_appended(pool.rule_robustness, fresh.rule_robustness),
         broken=_appended(pool.broken, fresh.broken),
         rule_log_ratio=_appended(pool.rule_log_ratio, fresh.rule_log_ratio),
+        lowered=None
+        if pool.lowered is None
+        else np.pad(pool.lowered, ((0, len(fresh.log_ratio)), (0, 0))),
         conjuncts=conjuncts,
         latents=latents,
         start=None
