@@ -267,8 +267,8 @@ class Pool:
         rule_robustness: ``[M]`` of each rule by name, where there are rules.
         broken: ``[M]`` likewise.
         rule_log_ratio: ``log_ratio`` under each, where there are several.
-        lowered: By how much ``log_ratio`` is lowered, under every rule alike, of the rollouts that
-            a proposal was fitted to, ``[M, 1 + K]``; ``None``: of none.
+        lowered: By how much ``log_ratio`` is lowered, to first order and under every rule alike, of
+            the rollouts that a proposal was fitted to, ``[M, 1 + K]``; ``None``: of none.
         conjuncts: Verdicts of the conjuncts of each rule that has some, of the rollouts that
             proposals are fitted to.
         share: Of the rollouts, for proposals that are to violate what is at hand, beside others.
@@ -293,7 +293,7 @@ class Pool:
     rule_robustness: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     broken: Mapping[str, BoolArray] = field(default_factory=dict[str, BoolArray])
     rule_log_ratio: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    lowered: FloatArray | None = None
+    lowered: AnyArray | None = None
     conjuncts: Verdicts = field(default_factory=dict[Rule, tuple[Verdict, ...]])
     share: float = 1.0
     latents: LatentDecisions | None = None

@@ -132,10 +132,21 @@ def extended(
             np.hstack([known, each - flattered]) for known, each in zip(before, added, strict=True)
         ]
         by_rule = dict(zip(terms.rules, ratios[1:], strict=True))
-        lowered = np.zeros(pool.log_ratio.shape) if pool.lowered is None else pool.lowered
-        lowered = np.hstack([lowered, flattered]).astype(np.float32)
-        pool = replace(pool, log_ratio=ratios[0], rule_log_ratio=by_rule, lowered=lowered)
+        pool = replace(
+            pool,
+            log_ratio=ratios[0],
+            rule_log_ratio=by_rule,
+            lowered=_with_lowered(pool, flattered),
+        )
     return _joined(pool, fresh, last=last)
+
+
+def _with_lowered(pool: Pool, flattered: FloatArray) -> AnyArray | None:
+    """Where latents are moved, corrections are not of first order (``leave_one_out_loss``)."""
+    if pool.latents is not None:
+        return None
+    before = np.zeros(pool.log_ratio.shape) if pool.lowered is None else pool.lowered
+    return np.hstack([before, flattered]).astype(np.float32)
 
 
 def with_plain(plain: PlainRollouts, terms: Terms) -> Pool:
