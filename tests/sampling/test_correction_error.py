@@ -57,6 +57,7 @@ def test_it_is_the_correction_or_what_the_correction_leaves_out(stages):
 def test_there_is_none_where_nothing_was_fitted_or_a_fit_has_no_part_in_a_weight():
     assert pool_after(1).correction_error == 0.0
     pool = pool_after(4)
+    assert np.isfinite(replace(pool, lowered=500.0 * (pool.lowered > 0.0)).correction_error)
     out = np.where(pool.lowered > 0.0, IN_NO_WEIGHT, 0.0)
     assert replace(pool, lowered=out).correction_error == 0.0
     assert replace(pool, violated=np.zeros(pool.count, dtype=np.bool_)).correction_error == 0.0

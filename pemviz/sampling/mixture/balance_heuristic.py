@@ -11,6 +11,7 @@ Of a large final batch only its violations' weights are kept, as all its proposa
 
 import itertools
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -416,7 +417,8 @@ class Pool:
         own = self.log_weight[row]
         share = np.exp(own - log_sum(self.log_weight[self.violated]))
         pulled = own - before
-        first = -math.log1p(float(share @ np.expm1(-pulled)))
+        uncorrected = 1.0 + float(share @ np.expm1(-pulled))
+        first = -math.log(max(uncorrected, sys.float_info.min))
         return min(first, float(share @ pulled**2))
 
     @property
