@@ -4,6 +4,7 @@ import contextlib
 import logging
 import re
 from concurrent.futures import CancelledError, Executor
+from importlib import import_module
 from importlib.util import find_spec
 from types import TracebackType
 from typing import Any, Self
@@ -16,7 +17,10 @@ CONNECT_S = 10.0
 FIRST_WORKER_S = 60.0
 HAS_PORT = re.compile(r":\d+|^inproc://")
 INSTALL = "pip install 'pemviz[sweep]'"
-LOGGERS = ("distributed", "distributed.client", "distributed.core", "distributed.comm")
+LOGGERS = (
+    *("distributed", "distributed.client", "distributed.core", "distributed.comm"),
+    *("asyncio", "tornado.application"),
+)
 
 
 class Cluster:
@@ -52,6 +56,7 @@ class Cluster:
         Raises:
             ConfigError: There is no scheduler at the address, or no worker that can be used.
         """
+        import_module("distributed")  # which sets their levels
         for name in LOGGERS:
             logger = logging.getLogger(name)
             self._levels[name] = logger.level
@@ -84,6 +89,14 @@ class Cluster:
         with contextlib.suppress(Exception):  # the scheduler may be gone
             return max(1, len(self.client.nthreads()))
         return 1
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the scheduler is; not once the client has tried for long to reach it again.
+
+        What is handed in while it tries is never done, nor given up.
+        """
+        return self.client.status in ("running", "connecting")
 
     def executor(self) -> Executor:
         """The connected cluster as an executor of any functions."""

@@ -89,6 +89,7 @@ def with_workers(
                 cluster.executor().submit,
                 cluster.count,
                 recount=lambda: cluster.count,
+                is_there=lambda: cluster.is_there,
                 limit_s=limit_s,
                 pause=pause,
                 loses=loses,

@@ -119,6 +119,13 @@ def test_a_scheduler_that_goes_is_told_as_that(toy_problem, raises, goes_after):
         sampled(problem)
 
 
+def test_a_scheduler_that_takes_work_and_is_gone_is_not_waited_for(toy_problem):
+    looks = iter([True, True, False])
+    runner = PooledRunner(lambda *_: Future(), 2, is_there=lambda: next(looks))
+    with pytest.raises(RunError, match=r"^the cluster's scheduler is gone"):
+        sampled(replace(toy_problem, run_batches=runner))
+
+
 def test_a_worker_that_is_killed_fails_the_batch_in_one_line(toy_problem):
     problem = replace(toy_problem, pem=ConstantPem(0.1))
     with ProcessPool(1) as pool:

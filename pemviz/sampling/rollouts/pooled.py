@@ -92,6 +92,7 @@ class PooledRunner:
             as :meth:`concurrent.futures.Executor.submit` does.
         workers: How many there are.
         recount: Tells how many there are now, where some may come or go; ``None``: none do.
+        is_there: Tells whether what is handed in can still be done.
         renew: Ends all workers and starts others, where one is lost, and tells how that ended, as
             far as it is known; ``None``: what submits sees to it itself.
         retire: Starts others for what comes next, where workers grow; ``None``: they may.
@@ -106,6 +107,7 @@ class PooledRunner:
     submit: Callable[..., Future[Any]]
     workers: int
     recount: Callable[[], int] | None = None
+    is_there: Callable[[], bool] = lambda: True
     renew: Callable[[], str] | None = None
     retire: Callable[[], None] | None = None
     limit_s: float | None = None
@@ -210,11 +212,17 @@ class PooledRunner:
             self._took.append((count, took_s))
 
     def _wait(self, is_over: Callable[[], bool], futures: Sequence[Future[Simulated]]) -> None:
-        """Until something is over, but no longer than a piece may take."""
+        """Until something is over, but no longer than a piece may take.
+
+        Raises:
+            RunError: The cluster's scheduler is gone.
+        """
         end_s = time.monotonic() + (math.inf if self.limit_s is None else self.limit_s)
         silent_s = time.monotonic() + SILENT_S
         while not is_over() and (left_s := end_s - time.monotonic()) > 0.0:
             self.pause()
+            if not self.is_there():
+                raise RunError(SCHEDULER_GONE)
             wait(
                 [each for each in futures if not each.done()], min(POLL_S, left_s), FIRST_COMPLETED
             )
