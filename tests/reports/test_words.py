@@ -119,6 +119,7 @@ def test_a_sentence_each_on_bursts_and_on_what_would_help():
 def test_every_view_has_the_rows():
     rows = burst_table(EXPLANATION, target=1e-4).rows
     assert dict(rows)["memory time for 0.0001"] == "0.067 s instead of 0.2 s"
+    assert dict(rows)["how likely that is"].endswith("the whole burst 1.2e-12")  # as in the line
     run = result(explanation=EXPLANATION, config=ExperimentConfig(memory_s=0.2, target=1e-4))
     page, recorded = summary_markdown(run), answer_text(run, running=False)
     panel = sections_html(run_document(run).choose(["causes"]))
