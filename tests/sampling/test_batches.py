@@ -95,6 +95,28 @@ def test_stopping_calls_back_what_was_handed_in(toy_problem):
     assert [future.cancelled() for future in handed_in] == [False] * 4 + [True] * 2
 
 
+@pytest.mark.parametrize(
+    ("start_s", "each_s", "rest"), [(0.3, 0.001, [144, 144]), (0.0, 0.05, 29 * [10])]
+)
+def test_pieces_are_sized_by_what_one_rollout_more_takes(toy_problem, start_s, each_s, rest):
+    """One that is started for each piece, and steps rollouts side by side, gets large ones."""
+    handed_in = []
+
+    def submit(function, simulator, pem, task):
+        handed_in.append(len(task.uniforms))
+        done = Future()
+        done.set_result(
+            replace(function(simulator, pem, task), took_s=start_s + each_s * handed_in[-1])
+        )
+        return done
+
+    problem = replace(toy_problem, run_batches=PooledRunner(submit, 2))
+    assert_same_scores(sampled(problem, count=300), sampled(toy_problem, count=300))
+    assert handed_in[:4] == [1, 1, 5, 5]
+    assert len(handed_in[4:]) == len(rest)
+    assert max(handed_in[4:]) == max(rest)
+
+
 class ClosedClientError(Exception):
     """As Dask's client raises once it has given up."""
 
