@@ -184,25 +184,18 @@ SEQUENTIAL: Sequence[Problem] = (
     ),
     *(
         Problem(
-            name=f"CartPole, base {base:g}",
+            name=f"{kind}, base {base:g}",
             source=CARTPOLE,
-            motion=HeldCartPole(base=base),
+            motion=cart(base=base),
             truth=truth,
             relative_error=error,
             how=how,
         )
-        for base, truth, error, how in CARTS
-    ),
-    *(
-        Problem(
-            name=f"CartPole, started anywhere, base {base:g}",
-            source=CARTPOLE,
-            motion=StartedCartPole(base=base),
-            truth=truth,
-            relative_error=error,
-            how=how,
+        for kind, cart, known in (
+            ("CartPole", HeldCartPole, CARTS),
+            ("CartPole, started anywhere", StartedCartPole, STARTED_CARTS),
         )
-        for base, truth, error, how in STARTED_CARTS
+        for base, truth, error, how in known
     ),
     Problem(
         name="InvertedPendulum-v5",

@@ -220,7 +220,7 @@ class HeldCartPole(HeldState):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StartedCartPole(HeldState):
+class StartedCartPole(HeldCartPole):
     """The same cart from a start of its own in each rollout, of whose state little is shown.
 
     As a user wrote it: the detector sees the lean, and the proposals where the cart is, how the
@@ -231,8 +231,6 @@ class StartedCartPole(HeldState):
     steps: int = 100
     starts: int = 4
     limit: float = 0.209
-    ranges = CART_RANGES
-    first = (0.0, 0.0, 0.0, 0.0)
     gains = (0.2, 0.6, 6.0, 1.2)
 
     @property
@@ -250,14 +248,6 @@ class StartedCartPole(HeldState):
         each = 0.1 * ndtr(start) - 0.05
         state = dict(zip(self.ranges, each.T, strict=True))
         return self._with_errors(state, {f"held_{name}": value for name, value in state.items()})
-
-    def later(self, values: Values, wanted: Numbers) -> Values:
-        """By Euler's method, pushed with 10 N either way."""
-        return pushed(values, np.where(wanted > 0.0, 10.0, -10.0))
-
-    def room(self, state: Values) -> Numbers:
-        """To the ends of the rail, and to the lean that ends an episode."""
-        return np.minimum(1.0 - np.abs(state["x"]) / RAIL, 1.0 - np.abs(state["th"]) / LEAN)
 
     def logit(self, values: Values) -> Numbers:
         """The more the pole leans, the less is detected."""

@@ -115,8 +115,13 @@ class Progress:
             case RolloutsDone(again=False):
                 at = self._sampling(event, now_s)
             case RolloutsSearched():
-                searched = self.searched + event.count
-                at = replace(self, stage=event.stage, searched=searched, sampling_since_s=now_s)
+                at = replace(
+                    self,
+                    repetition=event.repetition,
+                    stage=event.stage,
+                    searched=self.searched + event.count,
+                    sampling_since_s=now_s,
+                )
             case StageDone():
                 at = self._stage_done(event, now_s)
             case RepetitionDone():

@@ -67,6 +67,7 @@ def test_what_a_search_has_simulated_is_told_and_no_longer_to_come():
         assert at.left_s == (300 + 8 + left) * 0.5
     assert searched_in_words(at) == "stage 1, searching: 550 rollouts"
     assert counted_in_words(at) == "100 of 400 rollouts"  # they are no stage's
+    assert at.after(RolloutsSearched(1, 0, count=5), now_s=200.0).repetition == 1
     at = at.after(stage(1, foreseen=foreseen, simulation=50.0), now_s=300.0)
     assert at.searched == 0
     assert at.left_s == (300 + 10 + 500) * 0.5

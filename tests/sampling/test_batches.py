@@ -141,6 +141,15 @@ def test_a_scheduler_that_goes_is_told_as_that(toy_problem, raises, goes_after):
         sampled(problem)
 
 
+def test_a_scheduler_that_is_gone_is_told_as_that_of_what_is_begun_beside(toy_problem):
+    def submit(*_):
+        raise ClosedClientError("Client is closed")
+
+    task = BatchTask(PemProposal(), np.full((1, 6), 0.5), None)
+    with pytest.raises(RunError, match=r"^the cluster's scheduler is gone"):
+        PooledRunner(submit, 2).hand_in(toy_problem.simulator, toy_problem.pem, task)
+
+
 def test_a_scheduler_that_takes_work_and_is_gone_is_not_waited_for(toy_problem):
     looks = iter([True, True, False])
     runner = PooledRunner(lambda *_: Future(), 2, is_there=lambda: next(looks))

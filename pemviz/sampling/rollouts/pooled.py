@@ -147,8 +147,7 @@ class PooledRunner:
                 yield _joined(ahead)
                 ahead.popleft()
         except Exception as error:
-            if self.renew is None and scheduler_is_gone(error):
-                raise RunError(SCHEDULER_GONE) from error
+            self._tell_if_gone(error)
             raise
         finally:
             for piece in itertools.chain.from_iterable(ahead):
@@ -245,13 +244,24 @@ class PooledRunner:
         return self.workers > 1 and self._rollout_s >= SLOW_S
 
     def hand_in(self, simulator: Simulator, pem: Pem, task: BatchTask) -> Future[Simulated]:
-        """Rollouts to be simulated beside what is waited for."""
+        """Rollouts to be simulated beside what is waited for.
+
+        Raises:
+            RunError: The cluster's scheduler is gone.
+        """
         try:
             return self.submit(_simulated, simulator, pem, task)
         except BrokenExecutor as error:  # a worker died before
             lost: Future[Simulated] = Future()
             lost.set_exception(error)
             return lost
+        except Exception as error:
+            self._tell_if_gone(error)
+            raise
+
+    def _tell_if_gone(self, error: Exception) -> None:
+        if self.renew is None and scheduler_is_gone(error):
+            raise RunError(SCHEDULER_GONE) from error
 
     def answer_if_any(self, future: Future[Simulated]) -> RolloutBatch | None:
         """What a worker returns, once it does; ``None`` if it does not, which nobody is told."""
