@@ -539,7 +539,8 @@ class AutoSampling:
         rollouts, learning = min(found.rollouts, left), found.learning_stages
         searches = 0.0
         if method.chains:
-            searches += resampled.MOST * learning
+            far = inner.explored is not None and inner.explored.is_poor
+            searches += resampled.MOST * (resampled.MOVES if far else 1) * learning
         if inner.pool is None:
             searches += CHAINS_COST * method.chains + SHARE * rollouts
         searches = min(searches, left - rollouts)

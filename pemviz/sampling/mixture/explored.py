@@ -303,7 +303,7 @@ def against_chains(
     totals = () if pool.rule else _totals(explored.log_probability, log_estimate)
     by_chains = max(
         _relative_error(explored.scored, explored.log_weight, pool, log_estimate, terms),
-        _relative_error(resampled.of_newest, np.zeros(resampled.newest), pool, log_estimate, terms),
+        _relative_error(resampled.of_newest, None, pool, log_estimate, terms),
     )
     hardly = hardly_sampled(
         by_chains=by_chains, by_weights=estimate.std_error / estimate.probability
@@ -313,14 +313,18 @@ def against_chains(
 
 def _relative_error(
     scored: ScoredRollouts | None,
-    log_p: FloatArray,
+    log_p: FloatArray | None,
     pool: Pool,
     log_estimate: float,
     terms: Terms,
 ) -> float:
-    """Of the estimate, as rollouts tell it that follow the model by their log weights ``[E]``."""
+    """Of the estimate, as rollouts tell it that follow the model by their log weights ``[E]``.
+
+    ``None``: all count alike.
+    """
     if scored is None:
         return 0.0
+    log_p = np.zeros(scored.violated.size) if log_p is None else log_p
     own = _under(pool_under(scored, pool.proposals, terms), pool.rule)
     if not own.violated.any():
         return 0.0

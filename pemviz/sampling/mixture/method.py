@@ -308,8 +308,17 @@ class MixtureSampling:
             most=self.most_moves - state.moved,
             seeds=seeds(resampled.SPAWN_KEY),
             kept=kept,
+            moves=self._moves(state),
         )
         return replace(state, resampled=drawn)
+
+    def _moves(self, state: MixtureState) -> int:
+        """Of each violation that is drawn: several where chains found no way, if time allows it."""
+        if state.explored is None or not state.explored.is_poor:
+            return 1
+        left = max(self.learning_stages - state.stage, 1)
+        spare = self.most_moves - state.moved - left * self.rollouts
+        return int(np.clip(spare / (left * resampled.MOST), 1, resampled.MOVES))
 
     def _explored(self, problem: Problem, state: MixtureState) -> Explored:
         watched, finished = stages.watching(problem), problem.finished(state.repetition, 0)

@@ -11,6 +11,12 @@ What comes of it is no part of the estimate. It is what proposals for the gaps a
 what the estimate is checked by (:mod:`pemviz.sampling.mixture.explored`). A proposal near what a
 rollout became is near that rollout too, as none would be that knows nothing of it. So it has no
 part in the weight of that rollout.
+
+Of some systems what chains pass on their way down to violations leads to hardly any: a pole that
+leans far either has fallen already, or comes back. There the levels' chains find nothing, or what
+descends from one rollout, and one move leads hardly away from what proposals know. So most of what
+was moved stays, and makes several moves at every stage: chains that begin where it violates, and
+are as long as the run learns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,15 +29,35 @@ from pemviz.sampling.mixture.balance_heuristic import Pool, Rule
 from pemviz.sampling.problem import Problem, score
 from pemviz.sampling.rollouts.losing import lost_rows
 from pemviz.sampling.subset.moves import RandomNumbers, Tuning, moved, spreads
-from pemviz.sampling.subset.rejuvenation import violating
+from pemviz.sampling.subset.rejuvenation import Violating, violating
 from pemviz.sampling.subset.run import shape_of, simulated_beside
 from pemviz.types import RolloutBatch, ScoredRollouts
 
 MOST, SHARE = 40, 0.4
 """Violations of a stage that are drawn, each for one rollout more; of its rollouts, where few."""
+STAYING, MOVES = 0.8, 6
+"""Where levels' chains hardly find any: share of those that were moved that stay, and moves of each
+at a stage. Of a pole that starts anywhere six of 20 intervals did not hold without, one with 6."""
 SPAWN_KEY = 2**32 - 5
 """Of the children of a repetition's seed that they are drawn and moved by."""
-KEPT, SIMULATED = "resampled.", "resampled.simulated"
+KEPT, SIMULATED, ANCESTOR = "resampled.", "resampled.simulated", "resampled.ancestor"
+
+
+@dataclass(frozen=True, eq=False)
+class _Heads:
+    """H violations that are moved.
+
+    Attributes:
+        rollouts: They.
+        ancestor: Row in the pool of the one that each comes from, ``[H]``.
+        moved: Whether each has left it, ``[H]``.
+        rules: Which each is to break.
+    """
+
+    rollouts: RolloutBatch
+    ancestor: IntArray
+    moved: BoolArray
+    rules: Sequence[Rule]
 
 
 @dataclass(frozen=True)
@@ -60,7 +86,9 @@ class Resampled:
     @property
     def of_newest(self) -> ScoredRollouts | None:
         """What came of the newest stage's, moved or not; ``None``: nothing."""
-        return self.scored.take(slice(-self.newest, None)) if self.scored and self.newest else None
+        if self.scored is None or not self.kept:
+            return None
+        return self.scored.take(slice(-self.kept[ANCESTOR].size, None))
 
     def after(
         self,
@@ -72,6 +100,7 @@ class Resampled:
         most: float,
         seeds: np.random.SeedSequence,
         kept: Mapping[str, AnyArray] | None,
+        moves: int = 1,
     ) -> "Resampled":
         """With some of a stage's violations.
 
@@ -83,39 +112,53 @@ class Resampled:
             most: Rollouts that it may take.
             seeds: Of what is drawn and of the moves.
             kept: What an interrupted run left of the stage, if it did.
+            moves: Of each, where so many are left; of several, most of what was moved stays.
 
         Raises:
             SimulationError: Something raises, is no finite number, or a batch takes too long.
         """
         if kept is not None:
             return self._with_kept(problem, kept)
-        generator, shape = np.random.default_rng(seeds), shape_of(problem)
-        row, rules = _drawn(newest, pool, generator)
-        if not row.size or row.size > most:
+        generator = np.random.default_rng(seeds)
+        heads = self._heads(newest, pool, generator, share=STAYING if moves > 1 else 0.0)
+        moves = int(min(moves, most / max(heads.moved.size, 1)))
+        if not (heads.moved.size and moves):
             return replace(self, kept={})
-        some = violating(problem, newest.rollouts.take(row), generator)
-        tuning = tuning or Tuning.begun(shape)
-        tried = moved(
-            some.numbers,
-            tuning.chosen(row.size, generator),
-            shape=shape,
-            scale=tuning.scale,
-            spread=spreads(some.numbers, shape),
-            generator=generator,
-        )
-        rollouts = simulated_beside(problem, tried)
-        accepted = _breaks(score(problem, rollouts), rules) & ~lost_rows(rollouts)
-        accepted &= _differs(some.rollouts, rollouts)
-        place = np.arange(row.size) + np.where(accepted, row.size, 0)
-        numbers = RandomNumbers.concatenate([some.numbers, tried]).take(place)
-        rollouts = RolloutBatch.concatenate([some.rollouts, rollouts]).take(place)
+        tuning, left = tuning or Tuning.begun(shape_of(problem)), heads.moved
+        some = violating(problem, heads.rollouts, generator)
+        for _ in range(moves):
+            some, accepted = _moved(problem, some, heads.rules, tuning, generator)
+            left = left | accepted
         own: dict[str, AnyArray] = {
-            **numbers.kept(KEPT),
-            SIMULATED: np.array(row.size),
-            f"{KEPT}ancestor": pool.count - newest.rollouts.count + row,
-            f"{KEPT}moved": accepted,
+            **some.numbers.kept(KEPT),
+            SIMULATED: np.array(moves * some.count),
+            ANCESTOR: heads.ancestor,
+            f"{KEPT}moved": left,
         }
-        return self._with(score(problem, rollouts), own)
+        return self._with(score(problem, some.rollouts), own)
+
+    def _heads(
+        self, newest: ScoredRollouts, pool: Pool, generator: np.random.Generator, *, share: float
+    ) -> _Heads:
+        """Those of ``newest`` that are drawn; in place of a share of them, some that were moved."""
+        row, rules = _drawn(newest, pool, generator)
+        rollouts, ancestor = newest.rollouts.take(row), pool.count - newest.rollouts.count + row
+        drawn = _Heads(rollouts, ancestor, np.zeros(row.size, dtype=np.bool_), rules)
+        before = self.of_newest
+        if before is None or not share:
+            return drawn
+        count, own = before.rollouts.count, np.arange(row.size)
+        places = generator.permutation(row.size)[: int(share * row.size)]
+        for rule in dict.fromkeys(rules):
+            theirs = places[[rules[place] == rule for place in places]]
+            stays = generator.permutation(np.flatnonzero(_breaking(before, rule)))[: theirs.size]
+            own[theirs[: stays.size]] = row.size + stays
+        return _Heads(
+            RolloutBatch.concatenate([rollouts, before.rollouts]).take(own),
+            np.concatenate([ancestor, self.ancestor[-count:]])[own],
+            np.concatenate([drawn.moved, self.moved[-count:]])[own],
+            rules,
+        )
 
     def _with_kept(self, problem: Problem, kept: Mapping[str, AnyArray]) -> "Resampled":
         own = {name: values for name, values in kept.items() if name.startswith(KEPT)}
@@ -128,7 +171,7 @@ class Resampled:
         both = scored if self.scored is None else ScoredRollouts.concatenate([self.scored, scored])
         return Resampled(
             both,
-            np.concatenate([self.ancestor, kept[f"{KEPT}ancestor"]]),
+            np.concatenate([self.ancestor, kept[ANCESTOR]]),
             np.concatenate([self.moved, kept[f"{KEPT}moved"]]),
             self.simulated + int(kept[SIMULATED]),
             kept,
@@ -156,6 +199,30 @@ def _drawn(
     return np.concatenate(rows), of_which
 
 
+def _moved(
+    problem: Problem,
+    some: Violating,
+    rules: Sequence[Rule],
+    tuning: Tuning,
+    generator: np.random.Generator,
+) -> tuple[Violating, BoolArray]:
+    """Each after one move, and whether it has left where it was."""
+    shape = shape_of(problem)
+    numbers = moved(
+        some.numbers,
+        tuning.chosen(some.count, generator),
+        shape=shape,
+        scale=tuning.scale,
+        spread=spreads(some.numbers, shape),
+        generator=generator,
+    )
+    tried = Violating(numbers, simulated_beside(problem, numbers))
+    accepted = _breaks(score(problem, tried.rollouts), rules) & ~lost_rows(tried.rollouts)
+    accepted &= _differs(some.rollouts, tried.rollouts)
+    place = np.arange(some.count) + np.where(accepted, some.count, 0)
+    return Violating.concatenate([some, tried]).take(place), accepted
+
+
 def _differs(one: RolloutBatch, other: RolloutBatch) -> BoolArray:
     """Whether each of N rollouts has outcomes or latents that its counterpart does not have."""
     found = (one.detected != other.detected).any(axis=1)
@@ -167,5 +234,10 @@ def _differs(one: RolloutBatch, other: RolloutBatch) -> BoolArray:
 
 def _breaks(scored: ScoredRollouts, rules: Sequence[Rule]) -> BoolArray:
     """Whether each of N rollouts still breaks the rule that it was drawn for."""
-    verdicts = {rule: scored.broken[rule] if rule else scored.violated for rule in set(rules)}
+    verdicts = {rule: _breaking(scored, rule) for rule in set(rules)}
     return np.array([verdicts[rule][row] for row, rule in enumerate(rules)])
+
+
+def _breaking(scored: ScoredRollouts, rule: Rule) -> BoolArray:
+    """Which break a rule, or violate the specification."""
+    return scored.broken[rule] if rule else scored.violated

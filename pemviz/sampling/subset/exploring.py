@@ -22,6 +22,8 @@ RUNS = 2
 """Of chains, beside the one that finds their levels."""
 APART = 2
 """One in so many of the violations is kept: neighbours in a chain are nearly the same."""
+SEVERAL = 2.0
+"""Ancestors of what the runs found, as many independent ones would tell as much."""
 SPAWN_KEY = 2**32 - 3
 """Of the child of a repetition's seed that chains are sampled by."""
 KEPT, TUNING = "explored.", "explored.moves."
@@ -51,6 +53,12 @@ class Explored:
     independent: float = 1.0
     numbers: RandomNumbers | None = None
     tuning: Tuning | None = None
+
+    @property
+    def is_poor(self) -> bool:
+        """Whether all of the runs found what descends from one rollout, or nothing."""
+        ancestors = self.independent * self.log_weight.size
+        return self.log_probability.size > 0 and ancestors < SEVERAL
 
     @property
     def kept(self) -> dict[str, AnyArray]:
