@@ -7,7 +7,8 @@ their means; with z a latent drawn with mean m, its part of a rollout's weight i
     log p(z) - log q(z) = -z^2 / 2 + (z - m)^2 / 2
 
 or, where it changes spreads or moves some steps' noise alone, what :class:`Latents` says, and of
-starts what drew them (:class:`pemviz.proposals.start_moves.StartMoves`).
+starts what drew them (:class:`pemviz.proposals.start_moves.StartMoves`). They are drawn where
+rollouts are simulated (:mod:`pemviz.sampling.rollouts.simulate`).
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,7 @@
 """A viser server that binds one address, answers only its own pages, and shares nothing.
 
-Pages of pemviz' own stand on the same port, beside viser's, which shows scenes.
+Pages of pemviz' own stand on the same port, beside viser's, which shows scenes: what a page asks
+for is answered by :mod:`pemviz.panel.site`.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""A run that is kept in a folder, readable after a kill at any moment, and goes on from there."""
+"""A run that is kept in a folder, readable after a kill at any moment, and resumed from there."""
 
 import contextlib
 import itertools

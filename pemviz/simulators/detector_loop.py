@@ -16,11 +16,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pemviz.arrays import AnyArray, BoolArray, FloatArray
-from pemviz.boxes import iou, matched
 from pemviz.config.ranges import described
 from pemviz.errors import ConfigError
 from pemviz.faults import SimulationError, blame
 from pemviz.files.atomic import write_text
+from pemviz.matching import iou, matched
 from pemviz.simulators.latents import WrappedSimulator, begun, parts_of, stepped
 from pemviz.simulators.slots import Slot
 from pemviz.types import CERTAIN, RolloutBatch, Signal, StateBatch

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from pemviz.arrays import FloatArray
-from pemviz.boxes import iou
+from pemviz.matching import iou
 from studies.detector_in_the_loop.camera import HEIGHT_PX, WIDTH_PX
 from studies.detector_in_the_loop.render import Images
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pemviz.arrays import BoolArray, FloatArray, IntArray
-from pemviz.boxes import matched
+from pemviz.matching import matched
 from pemviz.types import StateBatch
 from studies.detector_in_the_loop.detector import Detector
 from studies.detector_in_the_loop.drives import DT_S, LANE_M, labels_of

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from pemviz.arrays import BoolArray, FloatArray
-from pemviz.boxes import iou
+from pemviz.matching import iou
 from studies.detector_in_the_loop.camera import WIDTH_PX
 from studies.detector_in_the_loop.detector import (
     COLUMNS,

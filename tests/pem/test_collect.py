@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pemviz.boxes import assign_boxes, iou
+from pemviz.matching import assign_boxes, iou
 from pemviz.pem import PemError, load_table
 from pemviz.pem.data.collect import CollectOptions, collect
 from pemviz.pem.data.kitti_labels import TYPES

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
-from pemviz.boxes import assign_boxes, iou, matched
+from pemviz.matching import assign_boxes, iou, matched
 from pemviz.pem.data.detections import read_sequence_detections
 from pemviz.pem.data.kitti_labels import read_tracking_labels
 from studies.detector_in_the_loop.detector import (

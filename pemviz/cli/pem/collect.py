@@ -12,6 +12,7 @@ from pemviz.bars import progress_bar
 from pemviz.cli.help import HelpPage
 from pemviz.cli.pem.checks import check_rate_hz, check_table_out, tell_doubts
 from pemviz.errors import PemError
+from pemviz.matching import PAPER_IOU
 from pemviz.pem.data.argoverse import collect_argoverse
 from pemviz.pem.data.coco import collect_coco
 from pemviz.pem.data.collect import (
@@ -25,7 +26,6 @@ from pemviz.pem.data.collect import (
 from pemviz.pem.data.detections import DetectionFormat, SequenceFormat
 from pemviz.pem.data.fiftyone import collect_fiftyone
 from pemviz.pem.data.mapped_log import collect_log
-from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.mot_challenge import collect_mot
 from pemviz.pem.data.nuscenes import MATCHED_BELOW_M, collect_nuscenes
 from pemviz.pem.data.recognise import CollectedFormat

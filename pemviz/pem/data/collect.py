@@ -11,10 +11,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
-from pemviz.boxes import assign_boxes
 from pemviz.errors import PemError
 from pemviz.files.atomic import is_file, is_folder, write_text
 from pemviz.files.text_files import writing
+from pemviz.matching import PAPER_IOU, assign_boxes
 from pemviz.pem.data.detections import (
     Detection,
     DetectionFormat,
@@ -33,7 +33,6 @@ from pemviz.pem.data.kitti_labels import (
     read_labels,
     read_tracking_labels,
 )
-from pemviz.pem.data.matching import PAPER_IOU
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.table import OUTCOME_COLUMN, TRACK_COLUMNS
 from pemviz.pem.models.protocol import SALIENT_COLUMNS

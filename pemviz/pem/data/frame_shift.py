@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pemviz.arrays import FloatArray
-from pemviz.boxes import iou
+from pemviz.matching import iou
 from pemviz.pem.data.kitti_labels import Box
 
 Rows = Sequence[Box] | FloatArray

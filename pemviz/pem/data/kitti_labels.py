@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from pemviz.boxes import Box
 from pemviz.errors import PemError
 from pemviz.files.text_files import check_columns, open_text
+from pemviz.matching import Box
 
 LABEL_COLUMNS = (
     *("type", "truncated", "occluded", "alpha"),

@@ -14,8 +14,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from pemviz.boxes import assign_boxes
 from pemviz.errors import PemError
+from pemviz.matching import assign_boxes
 from pemviz.pem.data.collect import (
     CollectOptions,
     Progress,

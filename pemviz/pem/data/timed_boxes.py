@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pemviz.arrays import FloatArray, IntArray
-from pemviz.boxes import assign_boxes, iou
 from pemviz.errors import PemError
+from pemviz.matching import PAPER_IOU, assign_boxes, assign_centres, iou, nearness
 from pemviz.pem.data.collect import (
     CLASS_ID,
     NUMBERED_CLASSES,
@@ -29,7 +29,6 @@ from pemviz.pem.data.collect import (
 )
 from pemviz.pem.data.frame_shift import ShiftTally
 from pemviz.pem.data.kitti_labels import Box
-from pemviz.pem.data.matching import PAPER_IOU, assign_centres, nearness
 from pemviz.pem.data.position_errors import PLANE_COLUMNS
 from pemviz.pem.data.table import OUTCOME_COLUMN, TIME_COLUMN
 from pemviz.pem.data.units import check_plausible

@@ -1,4 +1,7 @@
-"""What the back ends of the braking scenario share, all but how they step; what proposals see."""
+"""What the back ends of the braking scenario share; what proposals see of it.
+
+How they step: :mod:`pemviz.simulators.braking.vectorized`, and highway-env's.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

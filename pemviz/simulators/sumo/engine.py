@@ -1,7 +1,8 @@
 """SUMO in this process, and a step of many small groups of cars in it, each on its own road.
 
 There is one SUMO in a process, and whoever needs it loads what is theirs. libsumo is imported when
-it is first needed: it is an extra, and takes most of a second.
+it is first needed: it is an extra, and takes most of a second. Traffic of a user's own runs in a
+process of its own (:mod:`pemviz.simulators.sumo.traffic`).
 """
 
 import os
