@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from pemviz.charts.svg import svg
@@ -28,6 +29,7 @@ from pemviz.sampling.bursts.curve import (
     frailty_curve,
     memory_curve,
 )
+from pemviz.sampling.mixture.balance_heuristic import Pool
 from pemviz.types import Diagnostic
 from tests.lattice_walk import toy_problem_of, toy_robustness
 from tests.sampling.test_memory import PEM, SIMULATOR, by_enumeration
@@ -50,6 +52,21 @@ def test_one_set_of_rollouts_serves_every_memory_time():
         half = math.log(point.high / point.low) / 2
         assert abs(math.log(point.probability / truth)) < 2 * half, point
         assert half < 0.5
+
+
+def test_its_error_has_what_corrections_for_fitted_rollouts_leave_open(monkeypatch):
+    """As that of the answer; variances add up."""
+
+    def variances(correction_error):
+        if correction_error is not None:
+            monkeypatch.setattr(Pool, "correction_error", correction_error)
+        halves = [math.log(point.probability / point.low) / 1.959964 for point in curve_of()]
+        return np.expm1(np.square(halves))
+
+    own = variances(None)
+    of_sampling, both = variances(0.0), variances(0.3)
+    np.testing.assert_allclose(both - of_sampling, 0.3**2, rtol=1e-4)
+    assert (own > of_sampling).all()
 
 
 def test_the_curve_does_not_depend_on_the_batch_size():

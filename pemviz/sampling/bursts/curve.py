@@ -333,7 +333,8 @@ def _point(scenario: Scenario, sampled: Sampled, place: int, *, late: slice) -> 
     if not failures:
         return CurvePoint(memory.tau_s, 0.0, None, None, None, wrong, memory.frailty)
     error = StratifiedError.of(log_weight, violated, pool.component)
-    relative_error = ADAPTATION * math.exp(error.log_error - log_mean)
+    of_sampling = ADAPTATION * math.exp(error.log_error - log_mean)
+    relative_error = math.hypot(of_sampling, pool.correction_error)
     low, high = log_normal_interval(log_mean, relative_error=relative_error)
     wrong = (*wrong, *disagreements(pool, final=late))
     probability = math.exp(log_mean)

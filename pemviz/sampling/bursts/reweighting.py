@@ -250,6 +250,7 @@ class Sampled:
             the k-th proposal.
         log_q: Log likelihood under the exploration proposals and under each proposal, ``[N, 1 +
             K]`` [nats].
+        lowered: By how much ``log_q`` is lowered of what proposals were fitted to, ``[N, 1 + K]``.
         log_p: The same under the error model with each memory, ``[N, A]``.
         visibility: Posterior mean of the obstacle's visibility u, ``[N, A]``.
         robustness: ``[N]``.
@@ -259,6 +260,7 @@ class Sampled:
     outcomes: Outcomes
     component: IntArray
     log_q: FloatArray
+    lowered: FloatArray
     log_p: FloatArray
     visibility: FloatArray
     robustness: FloatArray
@@ -320,10 +322,12 @@ def described(
             of_all, mean = over_visibility(outcomes, memory, dt_s=dt_s, count=count)
             log_p.append(of_all)
             visibility.append(mean)
+    log_q = np.stack([by_exploration, *by_fits], axis=1)
     return Sampled(
         outcomes=outcomes,
         component=np.full(count, component, dtype=np.int64),
-        log_q=np.stack([by_exploration, *by_fits], axis=1),
+        log_q=log_q,
+        lowered=np.zeros_like(log_q),
         log_p=np.stack(log_p, axis=1),
         visibility=np.stack(visibility, axis=1),
         robustness=scored.robustness,
@@ -339,7 +343,11 @@ def with_fit(
     ``optimism`` is by how much it overstates their log likelihood for that reason, ``[N]``.
     """
     log_q = _log_q(scenario, sampled.outcomes, fit, sampled.count) - optimism
-    return replace(sampled, log_q=np.column_stack([sampled.log_q, log_q]))
+    return replace(
+        sampled,
+        log_q=np.column_stack([sampled.log_q, log_q]),
+        lowered=np.column_stack([sampled.lowered, optimism]),
+    )
 
 
 def joined(before: Sampled, fresh: Sampled) -> Sampled:
@@ -349,6 +357,7 @@ def joined(before: Sampled, fresh: Sampled) -> Sampled:
         outcomes=Outcomes.concatenate([before.outcomes, shifted]),
         component=np.concatenate([before.component, fresh.component]),
         log_q=np.concatenate([before.log_q, fresh.log_q]),
+        lowered=np.concatenate([before.lowered, fresh.lowered]),
         log_p=np.concatenate([before.log_p, fresh.log_p]),
         visibility=np.concatenate([before.visibility, fresh.visibility]),
         robustness=np.concatenate([before.robustness, fresh.robustness]),
@@ -381,6 +390,7 @@ def seen_at(scenario: Scenario, sampled: Sampled, place: int, *, u: float = 0.0)
         robustness=sampled.robustness,
         violated=sampled.violated,
         log_p=log_p,
+        lowered=sampled.lowered,
     )
 
 
