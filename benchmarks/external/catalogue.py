@@ -15,6 +15,7 @@ from benchmarks.external.sequential import (
     StartedCartPole,
     SumOfErrors,
     WalkBesidePattern,
+    WetFloor,
 )
 from benchmarks.external.static import STATIC
 
@@ -205,6 +206,14 @@ SEQUENTIAL: Sequence[Problem] = (
         relative_error=0.0128,
         how="250,000 plain rollouts of MuJoCo's",
         needs=("mujoco",),
+    ),
+    Problem(
+        name="robot, one wet floor in 1,000",
+        source="a user's: what is rare at the start makes few misses enough",
+        motion=WetFloor(),
+        truth=2.256e-5,
+        relative_error=0.0022,
+        how="products of misses, averaged over 1,000,000 starts of each floor",
     ),
     *(
         Problem(

@@ -274,6 +274,60 @@ def pushed(values: Values, force: Numbers) -> Values:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WetFloor:
+    """A robot nears a person who stands, and brakes for good once it sees; some floors are wet.
+
+    There it slides, and half of the misses are enough. Exploration proposals meet a wet floor with
+    more misses than it needs, or not at all.
+
+    Attributes:
+        wet_above: Standard deviations of a random number above which the floor is wet.
+    """
+
+    wet_above: float = 3.0902
+    starts: int = 3
+    noises: int = 0
+    misses: bool = True
+    steps: int = 40
+
+    @property
+    def shown(self) -> Mapping[str, tuple[float, float]]:
+        """All of its state but whether it brakes."""
+        return {"gap": (-50.0, 50.0), "speed": (0.0, 5.0), "grip": (0.0, 3.0)}
+
+    @property
+    def spec(self) -> str:
+        """It stops before the person."""
+        return f"always[0,{self.steps}] (gap >= 0)"
+
+    def begin(self, start: Numbers) -> Values:
+        """2 +- 0.15 m/s at 10 m, within a tenth; brakes reach 1.5 m/s^2, on a wet floor 0.35."""
+        wet = start[:, 2] > self.wet_above
+        return {
+            "gap": 10.0 * np.exp(0.1 * start[:, 1]),
+            "speed": 2.0 + 0.15 * start[:, 0],
+            "grip": np.where(wet, 0.35, 1.5 + 1e-4 * start[:, 2]),
+            "brakes": np.zeros(len(start), dtype=np.bool_),
+        }
+
+    def move(self, values: Values, step: int, detected: Flags, noise: Numbers) -> Values:  # noqa: ARG002
+        """0.25 s on."""
+        brakes = values["brakes"] | detected
+        slower = 0.25 * np.where(brakes, values["grip"], 0.0)
+        speed = np.maximum(values["speed"] - slower, 0.0)
+        gap = values["gap"] - 0.25 * speed
+        return {"gap": gap, "speed": speed, "grip": values["grip"], "brakes": brakes}
+
+    def logit(self, values: Values) -> Numbers:
+        """The nearer, the likelier it sees."""
+        return 1.2 - 0.2 * values["gap"]
+
+    def margin(self, values: Values) -> Numbers:
+        """What is left of the gap."""
+        return values["gap"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class WalkBesidePattern:
     """A walk that misses lead to 0, beside a pattern of misses that nothing shows before the end.
 

@@ -1,6 +1,7 @@
 """Every problem's probability, found twice: ``python -m benchmarks external --truths``."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
@@ -26,6 +27,7 @@ from benchmarks.external.sequential import (
     SensedPendulum,
     SumOfErrors,
     WalkBesidePattern,
+    WetFloor,
     swung,
 )
 from benchmarks.external.static import STATIC, exponentials
@@ -282,6 +284,41 @@ def _pattern(motion: WalkBesidePattern) -> Known:
     return _formula(failed, "recursion over gaps")
 
 
+def _floors(motion: WetFloor, *, count: int = 100_000) -> Known:
+    """Over when it first sees, exactly; starts are drawn, as many of either floor."""
+    start = np.random.default_rng(SEED).standard_normal((count, motion.starts))
+
+    def share(wet_above: float) -> Numbers:
+        floor = replace(motion, wet_above=wet_above)
+        waiting, found, unseen = floor.begin(start), np.zeros(count), np.ones(count)
+        none, all_see = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
+        for step in range(motion.steps):
+            sees = expit(floor.logit(waiting))
+            braking, least = waiting, floor.margin(waiting)
+            for later in range(step, motion.steps):
+                braking = floor.move(braking, later, all_see, start)
+                least = np.minimum(least, floor.margin(braking))
+            found += np.where(least < 0.0, unseen * sees, 0.0)
+            unseen = unseen * (1.0 - sees)
+            waiting = floor.move(waiting, step, none, start)
+        return found + np.where(floor.margin(waiting) < 0.0, unseen, 0.0)
+
+    wet = float(ndtr(-motion.wet_above))
+    each = wet * share(-np.inf) + (1.0 - wet) * share(np.inf)
+    error = float(np.std(each) / np.sqrt(count) / np.mean(each))
+    return Known(float(np.mean(each)), error, "products of misses, averaged over starts")
+
+
+def _floors_sampled(motion: WetFloor) -> Known:
+    """Plain rollouts of each floor."""
+    wet = plain(replace(motion, wet_above=-np.inf), count=300_000, seed=SEED)
+    dry = plain(replace(motion, wet_above=np.inf), count=2_000_000, seed=SEED)
+    share = float(ndtr(-motion.wet_above))
+    parts = [share * wet.value, (1.0 - share) * dry.value]
+    errors = parts[0] * wet.relative_error, parts[1] * dry.relative_error
+    return Known(sum(parts), float(np.hypot(*errors)) / sum(parts), "plain rollouts of each floor")
+
+
 def enumerated(motion: Motion) -> Known:
     """A motion that misses alone decide: every sequence of outcomes, with its likelihood."""
     count = 2**motion.steps
@@ -398,6 +435,10 @@ WAYS: Mapping[str, tuple[Way, ...]] = {
     **{name: _cart(name) for name in CARTS},
     "InvertedPendulum-v5": (
         lambda: plain(MOTIONS["InvertedPendulum-v5"], count=10_000, seed=SEED),
+    ),
+    "robot, one wet floor in 1,000": (
+        lambda: _floors(WetFloor()),
+        lambda: _floors_sampled(WetFloor()),
     ),
     **{name: _walk(name) for name in MOTIONS if name.startswith("walk")},
 }

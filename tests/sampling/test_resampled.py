@@ -243,6 +243,19 @@ def test_several_moves_leave_what_stages_are_to_take(sampled):
     assert method._moves(states[0][0]) == 1
 
 
+def test_what_is_left_of_a_run_counts_every_move(monkeypatch):
+    whole = around(2)
+    begun = (
+        state for state, _ in states_of(whole) if state.proposing and state.proposing.state.pool
+    )
+    state, foreseen = next(begun), []
+    for poor in (False, True):
+        monkeypatch.setattr(Explored, "is_poor", poor)
+        foreseen.append(whole.method.foreseen(state).searches)
+    assert foreseen[0] > 0
+    assert foreseen[1] == resampled.MOVES * foreseen[0]
+
+
 @pytest.mark.parametrize("poor", [False, True])
 def test_an_interrupted_run_moves_nothing_again(poor, monkeypatch):
     monkeypatch.setattr(Explored, "is_poor", poor)
