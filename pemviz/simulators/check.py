@@ -40,9 +40,8 @@ RANDOM = (
     "adapter: seed=None), or state fixed_randomness = True if that is meant"
 )
 COMPLETE = "; all that decides how a rollout goes on must be in signals and memory"
-TRIED, FARTHEST = 4, 6.0
-"""Rollouts by which it is found out whether latents make a difference, and standard deviations from
-one end to the other of a latent at the start."""
+TRIED = 4
+"""Rollouts by which it is found out whether latents make a difference."""
 
 
 def check_simulator(simulator: AnySimulator) -> None:
@@ -366,7 +365,7 @@ def latent_warnings(simulator: Simulator) -> tuple[str, ...]:
     generator = np.random.default_rng(1)
     for place in range(latents.start):
         start = np.zeros((TRIED, latents.at_start))
-        start[:, place] = np.linspace(-FARTHEST, FARTHEST, TRIED)  # what is rare may be what counts
+        start[:, place] = generator.standard_normal(TRIED)
         if _all_equal(begun(simulator, count=TRIED, start=start)):
             found.append(f"simulator {simulator.name}: initial ignores start latent {place}")
     if episodic(simulator) is not None:  # few at a time, and each step is dear

@@ -266,17 +266,6 @@ def test_latents_that_change_nothing_are_warned_of(ignored):
     assert experiment_of(FAR, FAR.spec(2.0)).warnings == ()
 
 
-def test_a_start_that_decides_only_far_out_is_not_said_to_be_ignored():
-    """One in a million, 4.75 standard deviations up."""
-
-    class Seldom(Drift):
-        def initial(self, *, count, start):
-            return super().initial(count=count, start=np.where(start > 4.75, start, 0.0))
-
-    seldom = Seldom(start_sd_m=1.0, noise_sd_m=0.0)
-    assert experiment_of(seldom, seldom.spec(2.0)).warnings == ()
-
-
 RARE = {
     "noise and a start": (FAR, ERRS, 7.0, 0.25),
     "one error of a step": (LargestError(), ERRS, 6.0, 0.1),
