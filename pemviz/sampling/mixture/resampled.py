@@ -37,7 +37,8 @@ MOST, SHARE = 40, 0.4
 """Violations of a stage that are drawn, each for one rollout more; of its rollouts, where few."""
 STAYING, MOVES = 0.8, 6
 """Where levels' chains hardly find any: share of those that were moved that stay, and moves of each
-at a stage. Of a pole that starts anywhere six of 20 intervals did not hold without, one with 6."""
+at a stage. Of a pole that starts anywhere eight of 40 intervals did not hold without; three do not
+with these."""
 SPAWN_KEY = 2**32 - 5
 """Of the children of a repetition's seed that they are drawn and moved by."""
 KEPT, SIMULATED, ANCESTOR = "resampled.", "resampled.simulated", "resampled.ancestor"
